@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point cloud upsampling with PUGeo-Net's geometry. Importing this package imports no torch."""
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.errors import (
+    BadOption,
+    CloudError,
+    LimitExceeded,
+    MalformedFile,
+    UnsupportedFormat,
+    UntreatableCloud,
+)
+
+__all__ = [
+    "BadOption",
+    "Cloud",
+    "CloudError",
+    "LimitExceeded",
+    "MalformedFile",
+    "UnsupportedFormat",
+    "UntreatableCloud",
+]
+__version__ = "0.1.0"

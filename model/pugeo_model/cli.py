@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `pugeo` command. Other packages add commands through the entry points `pugeo.commands`."""
+
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated
+
+try:
+    import typer
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+except ModuleNotFoundError as missing:
+    raise SystemExit(
+        f"the pugeo command needs {missing.name}, which comes with: pip install 'pugeo[model]'"
+    ) from missing
+
+from pugeo_model import __version__
+from pugeo_model.errors import CloudError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Point cloud upsampling with normals.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_console = Console(stderr=True)
+
+
+def _bar(*columns: str) -> Progress:
+    return Progress(
+        TextColumn("{task.description:<10}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        *(TextColumn(column) for column in columns),
+        console=_console,
+        transient=True,
+    )
+
+
+def _numbers(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter("must be three numbers x,y,z") from None
+    return x, y, z
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.command()
+def upsample(
+    source: Annotated[Path, typer.Argument(help="PLY, NPY, NPZ, JSON or XYZ file.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Output; its suffix is its format.")],
+    ratio: Annotated[float, typer.Option("-R", "--ratio", help="1 to 32, any number.")] = 4.0,
+    n_points: Annotated[int | None, typer.Option(help="Points wanted, instead of -R.")] = None,
+    orient: Annotated[
+        str, typer.Option(help="Signs of normals: auto, input, viewpoint, mst, outward, none.")
+    ] = "auto",
+    viewpoint: Annotated[str | None, typer.Option(help="Sensor position x,y,z.")] = None,
+    seed: Annotated[int, typer.Option(help="Another seed, another sample.")] = 0,
+    model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
+        "standard"
+    ),
+    format: Annotated[
+        str | None, typer.Option(help="ply, ply-ascii, npz, json or xyz; by suffix if left out.")
+    ] = None,
+) -> None:
+    """Write a cloud with R times as many points, each with a normal."""
+    from pugeo_model.formats import read, write
+    from pugeo_model.pipeline import Options, Upsampler
+
+    where = _numbers(viewpoint)
+    Options(ratio, n_points, orient, where, seed)  # before a long read, not after it
+    cloud = read(source)
+    upsampler = Upsampler(model)
+    with _bar() as bar:
+        task = bar.add_task("read", total=1)
+        result = upsampler(
+            cloud,
+            ratio,
+            n_points=n_points,
+            orient=orient,
+            viewpoint=where,
+            seed=seed,
+            progress=lambda stage, done, total: bar.update(
+                task, description=stage, completed=done, total=total
+            ),
+        )
+    write(result.cloud, out, format=format)
+    report = result.report
+    dropped = report["dropped"]
+    _console.print(
+        f"{report['points_used']:,} points -> {report['points_out']:,} points in {out}"
+        f" (normals: {report['orient']})"
+    )
+    if any(dropped.values()):
+        _console.print(
+            f"dropped {dropped['non_finite']:,} non-finite and {dropped['duplicate']:,}"
+            " duplicate points"
+        )
+    for note in report["notes"]:
+        _console.print(f"note: {note}")
+
+
+@app.command()
+def models() -> None:
+    """List the released weights."""
+    from pugeo_model.weights import available, read_card
+
+    for name in available():
+        card = read_card(name)
+        typer.echo(f"{name}  version {card['version']}  sha256 {card['sha256'][:16]}")
+
+
+@app.command()
+def train(
+    meshes: Annotated[Path, typer.Argument(help="Folder of training meshes.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the run; resumed if used.")],
+    val: Annotated[Path | None, typer.Option(help="Folder of meshes never trained on.")] = None,
+    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 18_000,
+    seed: Annotated[int, typer.Option(help="Of weights and batches.")] = 0,
+    threads: Annotated[int, typer.Option(help="Torch threads.")] = 1,
+    name: Annotated[str, typer.Option(help="Name in the model card.")] = "standard",
+    every: Annotated[int, typer.Option(help="Steps between checkpoints.")] = 500,
+) -> None:
+    """Train on a folder of meshes; resumes exactly where a run in the same folder stopped."""
+    from pugeo_model.training.run import load_shapes, run
+    from pugeo_model.training.trainer import Recipe
+
+    recipe = Recipe(steps=steps, seed=seed, threads=threads)
+    with _bar("{task.fields[info]}") as bar:
+        task = bar.add_task("sample", total=None, info="")
+        shapes = load_shapes(
+            meshes, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+        validation = load_shapes(val) if val else []
+        bar.update(task, description="train", completed=0, total=steps)
+        run(
+            shapes,
+            validation,
+            meshes,
+            recipe,
+            out,
+            name,
+            every,
+            tick=lambda step, info: bar.update(task, completed=step, info=info),
+        )
+    _console.print(f"weights, card, log and curves in {out}")
+
+
+@app.command()
+def evaluate(
+    meshes: Annotated[Path, typer.Option(help="Folder of NAME.ply meshes, longest side 1.")],
+    samples: Annotated[Path, typer.Option(help="Folder with inputs/ and gt/ samples of them.")],
+    model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
+        "standard"
+    ),
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="JSON of all figures.")] = None,
+    card: Annotated[bool, typer.Option(help="Write the means into the model card.")] = False,
+) -> None:
+    """Measure points and normals on fixed samples; the limit row is the true surface's own."""
+    from pugeo_model.metrics.report import evaluate_all
+
+    with _bar() as bar:
+        task = bar.add_task("evaluate", total=None)
+        table = evaluate_all(
+            model,
+            meshes,
+            samples,
+            out,
+            card=card,
+            tick=lambda label, done, total: bar.update(
+                task, description=label, completed=done, total=total
+            ),
+        )
+    typer.echo(table)
+
+
+for _entry in entry_points(group="pugeo.commands"):
+    try:
+        app.command(_entry.name)(_entry.load())
+    except ModuleNotFoundError as _missing:
+        # `serve` without its extra: the other commands must still work.
+        _hint = f"{_entry.name} needs {_missing.name}: pip install 'pugeo[server]'"
+
+        @app.command(_entry.name, help=_hint)
+        def _unavailable(hint: str = typer.Option(_hint, hidden=True)) -> None:
+            raise typer.BadParameter(hint)
+
+
+def main() -> None:
+    """Run the command line; what is wrong with an input is one line, not a traceback."""
+    try:
+        app()
+    except CloudError as error:
+        _console.print(f"error: {error.message}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+    except FileNotFoundError as error:
+        _console.print(f"error: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)

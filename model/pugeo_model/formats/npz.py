@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NumPy archives (``.npz``) and single arrays (``.npy``), without pickles."""
+
+import math
+import re
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.errors import CloudError, LimitExceeded, MalformedFile
+from pugeo_model.formats.colors import to_uint8
+from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.stream import bytes_left
+
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff", "write"]
+
+NAME = "npz"
+EXTENSIONS: tuple[str, ...] = (".npz", ".npy")
+MEDIA_TYPES: tuple[str, ...] = ("application/x-npz", "application/x-npy")
+
+_NPY = b"\x93NUMPY"
+_ZIP = b"PK\x03\x04"
+_KNOWN = ("points", "normals", "colors")
+_READ_BYTES = 1 << 20
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file with these first bytes is an array or an archive."""
+    return head.startswith((_NPY, _ZIP))
+
+
+def read(file: IO[bytes], limits: Limits) -> Cloud:
+    """Read an archive with ``points``, ``normals``, ``colors`` and scalars, or one array.
+
+    Every other ``(M,)`` numeric array of an archive is a scalar. A single array is ``(M, 3)``
+    points, or ``(M, 6)`` points and normals. The size that each array declares is checked before
+    it is unpacked, so that a small archive cannot unpack to a large one.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: bounds of the file, and of what it unpacks to.
+
+    Raises:
+        MalformedFile: truncated, pickled, of a wrong shape or type.
+        LimitExceeded: more points or bytes than ``limits``.
+    """
+    head = file.read(len(_NPY))
+    file.seek(-len(head), 1)
+    if head != _NPY:
+        return _read_archive(file, limits)
+    with _as_malformed("The array"):
+        declared = _declared(file, "array")
+        shape = declared.shape
+        if len(shape) != 2 or shape[1] not in (3, 6) or declared.dtype.kind not in "fiu":
+            raise _bad(
+                f"A single array must be numeric of shape (M, 3), points, or (M, 6), points and "
+                f"normals, not {declared}. Other columns need an npz archive."
+            )
+        limits.check("max_points", shape[0], "Points of the array")
+        limits.check("max_bytes", declared.size, "Bytes of the array")
+        values = declared.read(file, bytes_left(file))
+    points = _points(values[:, :3])
+    return Cloud(points, _normals(values[:, 3:]) if shape[1] == 6 else None)
+
+
+def write(cloud: Cloud, file: IO[bytes]) -> None:
+    """Write an uncompressed archive; the same cloud always gives the same bytes."""
+    arrays: dict[str, NDArray[Any]] = {"points": cloud.points}
+    if cloud.normals is not None:
+        arrays["normals"] = cloud.normals
+    if cloud.colors is not None:
+        arrays["colors"] = cloud.colors
+    for name, values in cloud.scalars.items():
+        free = re.sub(r"[\x00-\x1f/\\:]", "_", name)[:200] or "scalar"
+        while free in arrays or free in _KNOWN:
+            free = f"scalar_{free}"
+        arrays[free] = values
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, values in arrays.items():
+            # A ZipInfo of its own has a fixed date, where writestr would take today's.
+            entry = zipfile.ZipInfo(f"{name}.npy")
+            with archive.open(entry, "w", force_zip64=True) as member:
+                npy.write_array(member, np.ascontiguousarray(values), allow_pickle=False)
+
+
+@dataclass(frozen=True)
+class _Declared:
+    """What the header of an array says."""
+
+    name: str
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+    def __str__(self) -> str:
+        return f"{self.dtype} {self.shape}"
+
+    @property
+    def size(self) -> int:
+        """Bytes of its data."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def read(self, file: IO[bytes], found: int) -> NDArray[Any]:
+        """Read the data that follow the header, ``found`` bytes at most."""
+        if self.size > found:
+            raise self._truncated(found)
+        data = np.empty(self.size, np.uint8)
+        done = 0
+        while done < self.size:
+            block = file.read(min(_READ_BYTES, self.size - done))
+            if not block:
+                raise self._truncated(done)
+            data[done : done + len(block)] = np.frombuffer(block, np.uint8)
+            done += len(block)
+        rows = self.shape[::-1] if self.fortran else self.shape
+        values: NDArray[Any] = data.view(self.dtype).reshape(rows)
+        # This machine's byte order and row order.
+        native = self.dtype.newbyteorder("=")
+        return np.ascontiguousarray(values.T if self.fortran else values, native)
+
+    def _truncated(self, found: int) -> MalformedFile:
+        return MalformedFile(
+            f"Array {self.name!r} ({self}) takes {self.size:,} bytes, found {found:,}.",
+            code="truncated",
+            expected_bytes=self.size,
+            found_bytes=found,
+        )
+
+
+def _declared(file: IO[bytes], name: str) -> _Declared:
+    readers: dict[tuple[int, int], Callable[..., Any]] = {
+        (1, 0): npy.read_array_header_1_0,
+        (2, 0): npy.read_array_header_2_0,
+    }
+    version = npy.read_magic(file)
+    if version not in readers:
+        raise _bad(f"Array {name!r} has version {version} of the npy format, not 1.0 or 2.0.")
+    shape, fortran, dtype = readers[version](file)
+    if dtype.hasobject:
+        raise _bad(f"Array {name!r} holds Python objects, which are never unpickled.")
+    if any(extent < 0 for extent in shape):
+        raise _bad(f"Array {name!r} has a negative extent.")
+    return _Declared(name, shape, fortran, dtype)
+
+
+def _read_archive(file: IO[bytes], limits: Limits) -> Cloud:
+    _check_directory(file, limits)
+    with _as_malformed("The archive"), zipfile.ZipFile(file) as archive:
+        declared: dict[str, _Declared] = {}
+        entries: dict[str, zipfile.ZipInfo] = {}
+        for entry in archive.infolist():
+            name = entry.filename.removesuffix(".npy")
+            if name in entries:
+                raise _bad(f"Array {name!r} is in the archive twice.")
+            entries[name] = entry
+            with archive.open(entry) as member:
+                declared[name] = _declared(member, name)
+        if "points" not in declared:
+            found = ", ".join(sorted(declared)[:20]) or "nothing"
+            raise _bad(f"The archive has no array 'points' (M, 3); it holds {found}.")
+        count = _check_known(declared)
+        limits.check("max_points", count, "Points of the archive")
+        wanted = [n for n, d in declared.items() if n in _KNOWN or _is_scalar(d, count)]
+        total = sum(declared[name].size for name in wanted)
+        limits.check("max_bytes", total, "Bytes that the archive unpacks to")
+        arrays: dict[str, NDArray[Any]] = {}
+        for name in wanted:
+            with archive.open(entries[name]) as member:
+                each = _declared(member, name)
+                arrays[name] = each.read(member, entries[name].file_size)
+
+    points = _points(arrays.pop("points"))
+    normals = _normals(arrays.pop("normals")) if "normals" in arrays else None
+    notes = [
+        f"Array {name!r} ({each}) is dropped: a scalar would be numeric of shape ({count},)."
+        for name, each in declared.items()
+        if name not in wanted
+    ]
+    colors: NDArray[np.uint8] | None = None
+    if "colors" in arrays:
+        colors, note = to_uint8(arrays.pop("colors"))
+        notes += [note] if note else []
+    return Cloud(points, normals, colors, arrays, tuple(notes))
+
+
+def _check_known(declared: dict[str, _Declared]) -> int:
+    """Check the arrays whose meaning is fixed; returns the number of points."""
+    shape = declared["points"].shape
+    count = shape[0] if shape else 0
+    for name, widths in (("points", (3,)), ("normals", (3,)), ("colors", (3, 4))):
+        each = declared.get(name)
+        if each is None:
+            continue
+        if each.dtype.kind not in "fiu" or each.shape not in [(count, w) for w in widths]:
+            wanted = " or ".join(f"({count}, {width})" for width in widths)
+            raise _bad(f"Array {name!r} must be numeric of shape {wanted}, not {each}.")
+    return count
+
+
+def _is_scalar(declared: _Declared, count: int) -> bool:
+    return declared.shape == (count,) and declared.dtype.kind in "fiub"
+
+
+def _points(values: NDArray[Any]) -> NDArray[Any]:
+    small = values.dtype.kind == "f" and values.dtype.itemsize <= 4
+    return np.ascontiguousarray(values, np.float32 if small else np.float64)
+
+
+def _normals(values: NDArray[Any]) -> NDArray[np.float32]:
+    # What float32 cannot hold becomes infinite: cleaning deals with it, no warning needed.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.ascontiguousarray(values, np.float32)
+
+
+def _check_directory(file: IO[bytes], limits: Limits) -> None:
+    """Bound the archive's directory, which zipfile would read whatever its size.
+
+    An entry takes at least 46 bytes, so this bounds their number too.
+    """
+    start, size = file.tell(), bytes_left(file)
+    tail_size = min(size, 22 + 65_535)
+    file.seek(start + size - tail_size)
+    tail = file.read(tail_size)
+    file.seek(start)
+    end = len(tail) - 22 if tail[-22:-18] == b"PK\x05\x06" else tail.rfind(b"PK\x05\x06")
+    if end < 0 or len(tail) < end + 22:
+        raise MalformedFile("The zip archive has no end: it may be truncated.", code="truncated")
+    if tail[max(0, end - 20) : end].startswith(b"PK\x06\x07"):
+        raise LimitExceeded(
+            "Zip archives of more than 4 GiB or 65,535 entries are not read.",
+            name="max_bytes",
+            limit=min(limits.max_bytes, (1 << 32) - 1),
+            value=1 << 32,
+        )
+    directory = int.from_bytes(tail[end + 12 : end + 16], "little")
+    limits.check("max_header_bytes", directory, "Bytes of the zip archive's directory")
+
+
+@contextmanager
+def _as_malformed(what: str) -> Iterator[None]:
+    """Turn what numpy, zipfile and zlib raise for bytes that lie into one error."""
+    try:
+        yield
+    except CloudError:
+        raise
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        EOFError,
+        OSError,
+        OverflowError,
+        MemoryError,
+        RuntimeError,
+        SyntaxError,
+        UserWarning,
+        struct.error,
+        tokenize.TokenError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise _bad(f"{what} cannot be read: {error}.") from error
+
+
+def _bad(message: str) -> MalformedFile:
+    return MalformedFile(message, code="bad_array")

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PLY written as text. Reading is that of ``ply``, which knows both."""
+
+import re
+from typing import IO
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.formats import ply
+from pugeo_model.formats.ply import read
+
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff", "write"]
+
+NAME = "ply-ascii"
+EXTENSIONS: tuple[str, ...] = ()
+MEDIA_TYPES: tuple[str, ...] = ("text/ply", "text/x-ply")
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file with these first bytes is a PLY file that announces text."""
+    return ply.sniff(head) and re.search(rb"[\r\n]format[ \t]+ascii[ \t]", head) is not None
+
+
+def write(cloud: Cloud, file: IO[bytes]) -> None:
+    """Write text, with digits enough to read the same numbers back."""
+    for block in ply.encode(cloud, text=True):
+        file.write(block)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Patches: spatial chunks with the neighbours they need, the unit of work.
+
+Rows of a patch are sorted by what is asked of them: ``core`` rows get charts; ``rings`` say how
+many leading rows must have features before each round of message passing (each ring holds the
+neighbours of the one inside it); the last rows are only ever looked at as neighbours. A backbone
+therefore slices and never searches.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pugeo_model.geometry.frames import Frames
+
+__all__ = ["EDGE", "MESSAGES", "POSE", "SCALARS", "Patch", "cut", "edges", "poses", "scalars"]
+
+MESSAGES: tuple[tuple[int, int, int], ...] = ((0, 12, 1), (1, 24, 2))
+"""Neighbour columns ``(start, stop, step)`` of each round: the nearest 12, then 12 of the first 24
+spread wider, which doubles the reach at the same cost."""
+
+EDGE = 5
+"""Numbers on an edge of the neighbourhood: x, y, z, height above the quadric, distance."""
+
+POSE = 16
+"""Numbers on a message: position, relative rotation (9), position seen back, log scale."""
+
+SCALARS = 9
+"""Numbers on a point: quadric (6), residual, residual over noise, noise of the cloud."""
+
+_FAR = 8.0  # spacings; an isolated point's neighbours must not blow up the network's inputs
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A chunk of the cloud, rows local.
+
+    Attributes:
+        rows: ``(n,)`` int32, rows in the cloud; core first, then ring by ring.
+        core: number of leading rows that get a chart.
+        rings: leading rows with features before round 0, 1, ... (outermost first).
+        points: ``(n, 3)`` float64.
+        neighbours: ``(rings[0], k)`` int32 rows of this patch.
+        frames: frames of the ``rings[0]`` leading rows.
+    """
+
+    rows: NDArray[np.int32]
+    core: int
+    rings: tuple[int, ...]
+    points: NDArray[np.float64]
+    neighbours: NDArray[np.int32]
+    frames: Frames
+
+
+def cut(
+    core: NDArray[np.int32],
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    frames: Frames,
+) -> Patch:
+    """The patch around ``core`` (rows of the cloud) with its rings of neighbours."""
+    count = len(points)
+    place = np.full(count, -1, dtype=np.int32)
+    rows = core
+    place[rows] = np.arange(len(rows), dtype=np.int32)
+    sizes: list[int] = [len(rows)]
+    reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES), None]
+    for reach in reaches:
+        columns = neighbours[rows] if reach is None else neighbours[rows, slice(*reach)]
+        fresh = np.unique(columns[place[columns] < 0])
+        place[fresh] = np.arange(len(rows), len(rows) + len(fresh), dtype=np.int32)
+        rows = np.concatenate([rows, fresh])
+        sizes.append(len(rows))
+    framed = rows[: sizes[-2]]
+    return Patch(
+        rows=rows,
+        core=len(core),
+        rings=tuple(reversed(sizes[1:-1])),
+        points=points[rows],
+        neighbours=place[neighbours[framed]],
+        frames=Frames(
+            frames.axes[framed],
+            frames.spacing[framed],
+            frames.quadric[framed],
+            frames.residual[framed],
+            frames.noise,
+        ),
+    )
+
+
+def scalars(frames: Frames) -> NDArray[np.float32]:
+    """What the fit knows of each point, ``(M, SCALARS)`` float32, all about unit size."""
+    noise = np.full_like(frames.residual, frames.noise)
+    return np.concatenate(
+        [
+            np.clip(frames.quadric, -2.0, 2.0),
+            np.clip(np.log(frames.residual + 0.01), -5.0, 2.0)[:, None] + 3.0,
+            np.clip(frames.residual / (noise + 0.01), 0.0, 8.0)[:, None] - 1.0,
+            np.clip(np.log(noise + 0.01), -5.0, 2.0)[:, None] + 3.0,
+        ],
+        axis=1,
+        dtype=np.float32,
+    )
+
+
+def edges(patch: Patch) -> NDArray[np.float32]:
+    """Every neighbour in its point's frame, ``(k, rings[0], EDGE)`` float32, in spacings."""
+    out = np.zeros((*patch.neighbours.T.shape, EDGE), dtype=np.float32)
+    frames = patch.frames
+    _edges(patch.points, patch.neighbours, frames.axes, frames.spacing, frames.quadric, out)
+    return out
+
+
+def poses(patch: Patch, rows: int, reach: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Where each neighbour's frame lies in its point's frame, ``(k', rows, POSE)`` float32."""
+    columns = np.ascontiguousarray(patch.neighbours[:rows, slice(*reach)])
+    out = np.zeros((*columns.T.shape, POSE), dtype=np.float32)
+    _poses(patch.points, columns, patch.frames.axes, patch.frames.spacing, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-untyped-def]
+    count, k = neighbours.shape
+    for i in range(count):
+        scale = 1.0 / spacing[i]
+        f = axes[i]
+        q = quadric[i]
+        for j in range(k):
+            other = neighbours[i, j]
+            x = np.float32((points[other, 0] - points[i, 0]) * scale)
+            y = np.float32((points[other, 1] - points[i, 1]) * scale)
+            z = np.float32((points[other, 2] - points[i, 2]) * scale)
+            far = np.sqrt(x * x + y * y + z * z)
+            if far > _FAR:
+                x *= _FAR / far
+                y *= _FAR / far
+                z *= _FAR / far
+                far = np.float32(_FAR)
+            u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z
+            v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z
+            h = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z
+            fit = q[0] + q[1] * u + q[2] * v + 0.5 * q[3] * u * u + q[4] * u * v + 0.5 * q[5] * v * v
+            out[j, i, 0] = u
+            out[j, i, 1] = v
+            out[j, i, 2] = h
+            out[j, i, 3] = min(max(h - fit, -_FAR), _FAR)
+            out[j, i, 4] = far
+
+
+@njit(cache=True, nogil=True)
+def _poses(points, columns, axes, spacing, out):  # type: ignore[no-untyped-def]
+    count, k = columns.shape
+    d = np.zeros(3, dtype=np.float32)
+    for i in range(count):
+        mine = axes[i]
+        for j in range(k):
+            other = columns[i, j]
+            theirs = axes[other]
+            far = np.float32(0.0)
+            for a in range(3):
+                d[a] = (points[other, a] - points[i, a]) / spacing[i]
+                far += d[a] * d[a]
+            far = np.sqrt(far)
+            if far > _FAR:
+                for a in range(3):
+                    d[a] *= _FAR / far
+            ratio = spacing[i] / spacing[other]
+            back = min(ratio, _FAR / max(far, np.float32(1e-6)))
+            for a in range(3):
+                out[j, i, a] = mine[a, 0] * d[0] + mine[a, 1] * d[1] + mine[a, 2] * d[2]
+                out[j, i, 12 + a] = -back * (
+                    theirs[a, 0] * d[0] + theirs[a, 1] * d[1] + theirs[a, 2] * d[2]
+                )
+                for b in range(3):
+                    out[j, i, 3 + 3 * a + b] = (
+                        mine[a, 0] * theirs[b, 0]
+                        + mine[a, 1] * theirs[b, 1]
+                        + mine[a, 2] * theirs[b, 2]
+                    )
+            out[j, i, 15] = min(max(-np.log(ratio), -3.0), 3.0)

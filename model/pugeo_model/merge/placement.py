@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The merge: candidates of all charts to exactly the number wanted, and the charts of each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pugeo_model.merge.crowd import crowd
+from pugeo_model.merge.elimination import eliminate, reach_of_share
+from pugeo_model.merge.repulsion import repel
+
+__all__ = ["Candidates", "place", "shares"]
+
+_AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
+_NEAR_CHARTS = 12  # charts searched around a sample
+_CROWD = 20  # longest neighbour list among candidates, twice as dense as the survivors
+_SETTLED = 14  # among survivors
+_DOUBT = 12.0  # handicap of a candidate per spacing of expected error
+_SEED_SHARE = 0.02  # of the handicap that the seed draws
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What all charts propose; cloud frame, unit scale.
+
+    Attributes:
+        points: ``(M, c, 3)`` float64.
+        normals: ``(M, c, 3)`` float32 unit.
+        log_error: ``(M, c)`` float32, in spacings.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float32]
+    log_error: NDArray[np.float32]
+
+
+def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Surface area that each input point stands for, ``(M,)``, unit scale.
+
+    Averaged over 32 neighbours: the density of the input is followed, its accidents are not.
+    """
+    area = _AREA * spacing.astype(np.float64) ** 2
+    # Large gaps count in full, tight clusters as the points they are: densities, not areas,
+    # must add up.
+    smooth: NDArray[np.float64] = area[neighbours].mean(axis=1) * 0.97 + area * 0.03
+    return smooth
+
+
+def place(
+    candidates: Candidates,
+    wanted: int,
+    share: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    seed: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Where the output points go, before they land on their charts.
+
+    Args:
+        candidates: of all ``M`` charts.
+        wanted: number of points.
+        share: ``(M,)`` area of each chart, see :func:`shares`.
+        neighbours: ``(M, k)`` charts near each chart.
+        seed: decides between candidates that are as good as each other.
+
+    Returns:
+        Spots ``(wanted, 3)`` float64 and the chart ``(wanted,)`` int32 that proposed each.
+    """
+    charts, count = candidates.log_error.shape
+    near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
+    points = candidates.points.reshape(-1, 3)
+    owner = np.repeat(np.arange(charts, dtype=np.int32), count)
+    reach = reach_of_share(share * (charts / wanted))
+    doubt = np.exp(np.minimum(candidates.log_error.reshape(-1).astype(np.float64), 0.0))
+    chance = np.random.default_rng(seed).random(len(points))
+    handicap = 1.0 + _DOUBT * doubt + _SEED_SHARE * chance
+    lists = crowd(points, owner, near, reach[owner], _CROWD)
+    kept = eliminate(points, lists, reach[owner], wanted, handicap)
+    spots, owner = points[kept], owner[kept]
+    normals = candidates.normals.reshape(-1, 3)[kept]
+    lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
+    return repel(spots, normals, lists, reach[owner], _ROUNDS), owner
+
+
+def nearest_charts(
+    spots: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    count: int,
+) -> NDArray[np.int32]:
+    """The ``count`` charts nearest to each spot among its owner and that one's neighbours."""
+    found = np.empty((len(spots), count), dtype=np.int32)
+    _nearest_charts(spots, owner, points, neighbours[:, :_NEAR_CHARTS], found)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _nearest_charts(spots, owner, points, neighbours, found):  # type: ignore[no-untyped-def]
+    count = found.shape[1]
+    best = np.empty(count)
+    for i in range(len(spots)):
+        best[:] = np.inf
+        found[i, :] = owner[i]
+        for near in range(-1, neighbours.shape[1]):
+            chart = owner[i] if near < 0 else neighbours[owner[i], near]
+            d = 0.0
+            for a in range(3):
+                d += (spots[i, a] - points[chart, a]) ** 2
+            at = count
+            while at > 0 and d < best[at - 1]:
+                at -= 1
+            if at < count:
+                for later in range(count - 1, at, -1):
+                    best[later] = best[later - 1]
+                    found[i, later] = found[i, later - 1]
+                best[at] = d
+                found[i, at] = chart

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Backbones: each file maps neighbourhoods to features; registered here by name."""
+
+from collections.abc import Callable
+
+from torch import nn
+
+from pugeo_model.network.backbones.charts import ChartsBackbone
+
+__all__ = ["BACKBONES"]
+
+BACKBONES: dict[str, Callable[..., nn.Module]] = {"charts": ChartsBackbone}

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PUGeo's four learned maps: f1 to (u, v), f2 to T, f3 to the displacement, f4 to the normal.
+
+All lengths are in units of the local spacing ``s``; ``T`` is relative to the canonical frame.
+Output layers start near zero, so that training starts from the quadric fit and never collapses.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pugeo_model.geometry.frames import QUADRIC
+from pugeo_model.network.pattern import disk
+from pugeo_model.network.precision import wide_products
+
+__all__ = ["Frame", "Samples", "Surface", "quadric"]
+
+_DISK = 0.87  # side, in spacings, of the square as large as one point's share of the surface
+_TERMS = 8  # u, v, u^2, u v, v^2, quadric height and its two slopes
+
+
+def _quiet(layer: nn.Linear) -> nn.Linear:
+    """Scale an output layer down to near silence."""
+    with torch.no_grad():
+        layer.weight.mul_(0.01)
+        layer.bias.zero_()
+    return layer
+
+
+def quadric(coefficients: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+    """Height and slopes of the fitted quadric without its constant.
+
+    Args:
+        coefficients: ``(n, 1, 6)``.
+        uv: ``(n, r, 2)``.
+
+    Returns:
+        Height ``(n, r)`` and slopes ``(n, r, 2)``.
+    """
+    u, v = uv.unbind(-1)
+    _, c1, c2, c3, c4, c5 = coefficients.unbind(-1)
+    height = c1 * u + c2 * v + 0.5 * c3 * u * u + c4 * u * v + 0.5 * c5 * v * v
+    return height, torch.stack([c1 + c3 * u + c4 * v, c2 + c4 * u + c5 * v], dim=-1)
+
+
+class Frame(nn.Module):
+    """f2: features to the augmented Jacobian ``T = [Phi_u, Phi_v, Phi_u x Phi_v]`` (eq. 5).
+
+    ``T`` is made orthonormal (Gram-Schmidt of identity plus residual). A free 3x3 shares its
+    scale and rotation with (u, v): trained so, T shrank, (u, v) grew and T^-1 exploded.
+    """
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.out = _quiet(nn.Linear(features, 6))
+        self.register_buffer("identity", torch.eye(3)[:2].flatten(), persistent=False)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """``(n, features)`` -> ``(n, 3, 3)``; columns are the two tangents and the normal."""
+        with wide_products():
+            out = self.out(features).float()
+        first, second = (out + self.identity).unflatten(-1, (2, 3)).unbind(1)
+        t1 = functional.normalize(first, dim=-1)
+        t2 = functional.normalize(second - (second * t1).sum(-1, keepdim=True) * t1, dim=-1)
+        return torch.stack([t1, t2, torch.linalg.cross(t1, t2)], dim=-1)
+
+
+class Samples(nn.Module):
+    """f1: features to adaptive samples (u, v) (eq. 3), for any number of samples.
+
+    An even disk pattern, times a learned 2x2 stretch, plus a learned residual. The network sees
+    each pattern point, its radius and ``R^-1/2``, so one set of weights serves every ratio.
+    """
+
+    def __init__(self, features: int, width: int = 64) -> None:
+        super().__init__()
+        self.stretch = _quiet(nn.Linear(features, 4))
+        self.code = nn.Linear(features, width)
+        self.pattern = nn.Linear(4, width, bias=False)
+        self.hidden = nn.Linear(width, width)
+        self.out = _quiet(nn.Linear(width, 2))
+        self.register_buffer("identity", torch.eye(2).flatten(), persistent=False)
+
+    def forward(self, features: Tensor, count: int) -> Tensor:
+        """``(n, features)`` -> ``(n, count, 2)`` in spacings."""
+        pattern = torch.from_numpy(disk(count))
+        inverse_root = count**-0.5
+        seen = torch.cat(
+            [
+                pattern,
+                pattern.norm(dim=-1, keepdim=True),
+                torch.full((count, 1), inverse_root),
+            ],
+            dim=-1,
+        )
+        with wide_products():
+            stretch = (self.stretch(features).float() + self.identity).unflatten(-1, (2, 2))
+            hidden = functional.relu(self.code(features).unsqueeze(1) + self.pattern(seen))
+            hidden = functional.relu(self.hidden(hidden))
+            residual = 2.0 * inverse_root * self.out(hidden).float()
+        return _DISK * (pattern @ stretch.mT + residual)
+
+
+class Surface(nn.Module):
+    """f3 and f4: displacement along the normal (eq. 7) and normal offset (eq. 8) at any (u, v).
+
+    Also predicts the logarithm of its own error, by which charts are blended and candidates
+    weighed where they disagree.
+    """
+
+    def __init__(self, features: int, width: int = 128, hidden: int = 64) -> None:
+        super().__init__()
+        self.width = width
+        self.code = nn.Linear(features, width)
+        self.terms = nn.Linear(_TERMS, width, bias=False)
+        self.hidden = nn.Linear(width, hidden)
+        self.out = _quiet(nn.Linear(hidden, 4))
+        self.lift = _quiet(nn.Linear(features, 2))
+
+    def encode(self, features: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
+        """What of a chart its samples need: code ``(n, width)`` and lift ``(n,)``.
+
+        The lift raises the whole chart: a share of the quadric's own constant (all of it on
+        noisy input, none where the point is on the surface) plus a free part.
+        """
+        with wide_products():
+            share, free = self.lift(features).float().unbind(-1)
+            code = self.code(features)
+        return code, (0.5 + share) * coefficients[:, 0] + free
+
+    def forward(
+        self, code: Tensor, lift: Tensor, coefficients: Tensor, uv: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Evaluate charts.
+
+        Args:
+            code: ``(n, width)``.
+            lift: ``(n,)`` float32.
+            coefficients: ``(n, 6)`` float32 quadric.
+            uv: ``(n, r, 2)`` float32.
+
+        Returns:
+            Displacement ``(n, r)``, unit normals in the frame of T ``(n, r, 3)``, and the
+            logarithm of the error expected, in spacings, ``(n, r)``; all float32.
+        """
+        assert coefficients.shape[-1] == QUADRIC
+        height, slope = quadric(coefficients.unsqueeze(1), uv)
+        u, v = uv.unbind(-1)
+        terms = torch.stack([u, v, u * u, u * v, v * v, height, *slope.unbind(-1)], dim=-1)
+        with wide_products():
+            hidden = functional.relu(code.unsqueeze(1) + self.terms(terms))
+            out = self.out(functional.relu(self.hidden(hidden))).float()
+        displacement = height + lift.unsqueeze(1) + out[..., 0]
+        up = torch.ones_like(displacement)
+        normal = torch.stack([out[..., 1] - slope[..., 0], out[..., 2] - slope[..., 1], up], dim=-1)
+        return displacement, functional.normalize(normal, dim=-1), out[..., 3] - 3.0

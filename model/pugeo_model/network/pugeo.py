@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PUGeo-Net: from neighbourhoods to charts, from charts to points and normals."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pugeo_model.network.backbones import BACKBONES
+from pugeo_model.network.heads import Frame, Samples, Surface
+from pugeo_model.network.neighbourhoods import Neighbourhoods
+from pugeo_model.network.precision import wide_products
+
+__all__ = ["Architecture", "Charts", "PUGeoNet", "evaluate"]
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What it takes to rebuild a network; stored in the model card.
+
+    Attributes:
+        backbone: name in ``BACKBONES``.
+        features: channels of the per-point feature ``c_i``.
+        options: the backbone's own arguments.
+    """
+
+    backbone: str = "charts"
+    features: int = 256
+    options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain types only."""
+        return {**asdict(self), "options": dict(self.options)}
+
+    @classmethod
+    def from_json(cls, raw: dict[str, Any]) -> "Architecture":
+        """The inverse of :meth:`to_json`."""
+        return cls(raw["backbone"], raw["features"], tuple(raw["options"].items()))
+
+
+@dataclass(frozen=True, eq=False)
+class Charts:
+    """The learned local surfaces of ``n`` points; lengths in spacings.
+
+    Attributes:
+        T: ``(n, 3, 3)`` float32; columns are the tangents and the coarse normal ``T (0, 0, 1)``,
+            in the canonical frame.
+        code: ``(n, width)``, what the surface head needs of the feature.
+        lift: ``(n,)`` float32.
+        quadric: ``(n, 6)`` float32.
+    """
+
+    T: Tensor
+    code: Tensor
+    lift: Tensor
+    quadric: Tensor
+
+
+class PUGeoNet(nn.Module):
+    """The network of the paper with an exchangeable backbone.
+
+    Args:
+        architecture: backbone and widths.
+    """
+
+    def __init__(self, architecture: Architecture | None = None) -> None:
+        super().__init__()
+        self.architecture = architecture or Architecture()
+        features = self.architecture.features
+        self.backbone = BACKBONES[self.architecture.backbone](
+            features=features, **dict(self.architecture.options)
+        )
+        self.frame = Frame(features)
+        self.samples = Samples(features)
+        self.surface = Surface(features)
+
+    def forward(self, hoods: Neighbourhoods, quadric: Tensor, count: int) -> tuple[Charts, Tensor]:
+        """Charts of the core points and their adaptive samples.
+
+        Args:
+            hoods: the neighbourhoods.
+            quadric: ``(n, 6)`` float32 of the core points.
+            count: samples a chart.
+
+        Returns:
+            The charts and (u, v) ``(n, count, 2)`` float32.
+        """
+        with wide_products():
+            features = self.backbone(hoods)
+        code, lift = self.surface.encode(features, quadric)
+        charts = Charts(self.frame(features), code, lift, quadric)
+        return charts, self.samples(features, count)
+
+
+def evaluate(surface: Surface, charts: Charts, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Points and normals of charts at (u, v) (eq. 4, 6 and 8).
+
+    ``x = T (u, v, 0) + delta T (0, 0, 1)`` and ``n = T (offset + (0, 0, 1))``, normalised.
+
+    Args:
+        surface: the f3/f4 head.
+        charts: ``n`` charts.
+        uv: ``(n, r, 2)`` float32, in spacings.
+
+    Returns:
+        Points ``(n, r, 3)`` and unit normals ``(n, r, 3)`` in the canonical frames, in spacings,
+        and the logarithm of the expected error ``(n, r)``.
+    """
+    displacement, normal, log_error = surface(charts.code, charts.lift, charts.quadric, uv)
+    local = torch.cat([uv, displacement.unsqueeze(-1)], dim=-1)
+    turn = charts.T.mT
+    return local @ turn, normal @ turn, log_error

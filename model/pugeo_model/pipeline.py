@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The way of a cloud: clean, normalise, patches, network, merge, finish.
+
+The stages are plain functions of plain data, so that the command line runs them in a row and the
+service spreads ``predict`` and ``land`` over its workers; nothing else differs between the two.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pugeo_model.clean import clean
+from pugeo_model.cloud import Cloud
+from pugeo_model.errors import BadOption
+from pugeo_model.finish.attributes import carry
+from pugeo_model.finish.orientation import METHODS, orient, propagate
+from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
+from pugeo_model.geometry.frames import Frames, fit_frames
+from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.merge.placement import Candidates, nearest_charts, place, shares
+from pugeo_model.normalise import Placement, normalise
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pugeo_model.network.model import Landed, Landing, Model, PatchCharts
+
+__all__ = ["Job", "Options", "Result", "Upsampler", "finish", "land", "merge", "predict", "prepare"]
+
+MOST = 32.0
+"""Largest ratio."""
+
+_OVERSAMPLE = 2.0  # candidates a point wanted
+_FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
+_BLENDED = 3  # charts that an output point lands on
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the caller may choose.
+
+    Attributes:
+        ratio: output points an input point, a real number in 1..32. At 1 the input points come
+            back, with normals.
+        n_points: number of output points instead of a ratio.
+        orient: ``auto``, ``input``, ``viewpoint``, ``mst``, ``outward`` or ``none``.
+        viewpoint: sensor position in the cloud's own frame and units.
+        seed: 0..2^63-1; other seeds give other, equally even samples.
+
+    Raises:
+        BadOption: a value out of range; its ``fields`` name it.
+    """
+
+    ratio: float = 4.0
+    n_points: int | None = None
+    orient: str = "auto"
+    viewpoint: tuple[float, float, float] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.ratio, int | float) and 1.0 <= self.ratio <= MOST):
+            _refuse("ratio", self.ratio, "a number from 1 to 32", limit=[1, 32])
+        if self.n_points is not None and self.n_points < 1:
+            _refuse("n_points", self.n_points, "a positive whole number")
+        if self.orient not in METHODS:
+            _refuse("orient", self.orient, f"one of {', '.join(METHODS)}", allowed=list(METHODS))
+        if self.viewpoint is not None and (
+            len(self.viewpoint) != 3 or not all(math.isfinite(v) for v in self.viewpoint)
+        ):
+            _refuse("viewpoint", list(self.viewpoint), "three finite numbers x, y, z")
+        if self.orient == "viewpoint" and self.viewpoint is None:
+            _refuse("viewpoint", None, "given where orient is 'viewpoint'")
+        if not 0 <= self.seed < 2**63:
+            _refuse("seed", self.seed, "a whole number from 0 to 2^63 - 1")
+
+
+def _refuse(name: str, value: Any, wanted: str, **fields: Any) -> None:
+    raise BadOption(f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A prepared cloud.
+
+    Attributes:
+        cloud: the cleaned input.
+        points: ``(M, 3)`` float64, unit scale.
+        placement: offset and scale taken out.
+        neighbours: ``(M, 32)`` int32, nearest first.
+        frames: one a point.
+        patches: the units of work; their cores partition the points.
+        candidates: candidates a chart.
+        n_out: points of the answer.
+        options: as asked for.
+        report: what happened, JSON-able.
+    """
+
+    cloud: Cloud
+    points: NDArray[np.float64]
+    placement: Placement
+    neighbours: NDArray[np.int32]
+    frames: Frames
+    patches: list[Patch]
+    candidates: int
+    n_out: int
+    options: Options
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The dense cloud and the report on its making."""
+
+    cloud: Cloud
+    report: dict[str, Any]
+
+
+def prepare(cloud: Cloud, options: Options) -> Job:
+    """Clean, normalise, find neighbours and frames, cut patches.
+
+    Raises:
+        UntreatableCloud: the points left after cleaning span no surface.
+        BadOption: ``n_points`` is not 1 to 32 times the points left.
+    """
+    cleaned, dropped = clean(cloud)
+    points, placement = normalise(cleaned.points)
+    count = len(points)
+    n_out = options.n_points or math.floor(options.ratio * count + 0.5)
+    if not count <= n_out <= MOST * count:
+        _refuse(
+            "n_points",
+            n_out,
+            f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
+            limit=[count, int(MOST) * count],
+        )
+    tree = cKDTree(points)
+    distances, neighbours = nearest(points, tree=tree)
+    frames = fit_frames(points, neighbours, spacing(distances))
+    patches = [cut(core, points, neighbours, frames) for core in chunks(points, PATCH_SIZE)]
+    report = {
+        "points_in": len(cloud),
+        "points_used": count,
+        "points_out": n_out,
+        "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
+        "patches": len(patches),
+        "ratio": n_out / count,
+        "noise": frames.noise,
+        "notes": list(cleaned.notes),
+    }
+    candidates = max(_FEWEST_CANDIDATES, math.ceil(_OVERSAMPLE * n_out / count))
+    return Job(
+        cleaned, points, placement, neighbours, frames, patches, candidates, n_out, options, report
+    )
+
+
+def predict(model: "Model", patch: Patch, candidates: int) -> "PatchCharts":
+    """The network: charts of a patch and what they propose. Runs on workers."""
+    return model.charts(patch, candidates)
+
+
+def merge(job: Job, charts: "Sequence[PatchCharts]") -> "list[Landing]":
+    """Decide where the output points go; gather what landing them takes, patch by patch."""
+    from pugeo_model.network.model import Landing
+
+    rows = np.concatenate([part.rows for part in charts])
+    back = np.argsort(rows)
+    t_all = np.concatenate([part.T for part in charts])[back]
+    code = np.concatenate([part.code for part in charts])[back]
+    lift = np.concatenate([part.lift for part in charts])[back]
+    if job.n_out == len(job.points):
+        spots, owner = job.points, np.arange(len(job.points), dtype=np.int32)
+    else:
+        offsets = np.concatenate([part.candidates for part in charts])[back]
+        proposals = Candidates(
+            job.points[:, None] + offsets,
+            np.concatenate([part.normals for part in charts])[back],
+            np.concatenate([part.log_error for part in charts])[back],
+        )
+        share = shares(job.frames.spacing, job.neighbours)
+        spots, owner = place(proposals, job.n_out, share, job.neighbours, job.options.seed)
+    near = nearest_charts(spots, owner, job.points, job.neighbours, _BLENDED)
+    patch_of = np.empty(len(job.points), dtype=np.int32)
+    for number, patch in enumerate(job.patches):
+        patch_of[patch.rows[: patch.core]] = number
+    home = patch_of[owner]
+    order = np.argsort(home, kind="stable")
+    landings = []
+    for part in np.split(order, np.searchsorted(home[order], np.arange(1, len(job.patches)))):
+        used, local = np.unique(near[part], return_inverse=True)
+        landings.append(
+            Landing(
+                spots=spots[part],
+                charts=local.reshape(-1, _BLENDED).astype(np.int32),
+                points=job.points[used],
+                axes=job.frames.axes[used],
+                spacing=job.frames.spacing[used],
+                quadric=job.frames.quadric[used],
+                T=t_all[used],
+                code=code[used],
+                lift=lift[used],
+                nearest=near[part, 0],
+                fixed=job.n_out == len(job.points),
+            )
+        )
+    return landings
+
+
+def land(model: "Model", landing: "Landing") -> "Landed":
+    """The network's heads: put spots on their charts, give them normals. Runs on workers."""
+    return model.land(landing)
+
+
+def finish(job: Job, landed: "Sequence[Landed]") -> Result:
+    """Orient normals, carry colours and scalars over, put offset and scale back."""
+    points = np.concatenate([part.points for part in landed])
+    normals = np.concatenate([part.normals for part in landed])
+    close = np.concatenate([part.nearest for part in landed])
+    options, cloud = job.options, job.cloud
+    viewpoint = options.viewpoint
+    if viewpoint is not None:
+        moved = (np.asarray(viewpoint) - job.placement.offset) / job.placement.scale
+        viewpoint = (float(moved[0]), float(moved[1]), float(moved[2]))
+    signs, method = orient(
+        job.points,
+        job.frames.axes[:, 2],
+        options.orient,
+        viewpoint,
+        cloud.normals,
+        job.neighbours,
+    )
+    colors, scalars = carry(
+        Cloud(job.points, colors=cloud.colors, scalars=cloud.scalars), points
+    )
+    dense = Cloud(
+        points=job.placement.world(points),
+        normals=propagate(normals, close, signs),
+        colors=colors,
+        scalars=scalars,
+        notes=cloud.notes,
+    )
+    return Result(dense, {**job.report, "orient": method})
+
+
+class Upsampler:
+    """The whole way in one process.
+
+    Args:
+        weights: name of released weights, or the path of a ``.safetensors`` file.
+    """
+
+    def __init__(self, weights: "str | Path" = "standard") -> None:
+        from pugeo_model.weights import load
+
+        self.model = load(weights)
+
+    def __call__(
+        self,
+        cloud: Cloud | NDArray[Any],
+        ratio: float = 4.0,
+        *,
+        n_points: int | None = None,
+        orient: str = "auto",
+        viewpoint: tuple[float, float, float] | None = None,
+        seed: int = 0,
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> Result:
+        """Upsample a cloud; arguments as in :class:`Options`.
+
+        Args:
+            cloud: a cloud, or points ``(M, 3)``.
+            progress: called with a stage's name, parts done and parts in all.
+
+        Raises:
+            CloudError: the cloud or an option cannot be used.
+        """
+        if not isinstance(cloud, Cloud):
+            cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
+        options = Options(ratio, n_points, orient, viewpoint, seed)
+        tell = progress or (lambda _stage, _done, _total: None)
+        tell("prepare", 0, 1)
+        job = prepare(cloud, options)
+        total = len(job.patches)
+        charts = []
+        for done, patch in enumerate(job.patches):
+            tell("network", done, total)
+            charts.append(predict(self.model, patch, job.candidates))
+        tell("merge", 0, 1)
+        landings = merge(job, charts)
+        landed = []
+        for done, landing in enumerate(landings):
+            tell("land", done, total)
+            landed.append(land(self.model, landing))
+        tell("finish", 0, 1)
+        result = finish(job, landed)
+        tell("finish", 1, 1)
+        return result

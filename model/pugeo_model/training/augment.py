@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs as sensors give them: even, random, ramped, cut off, in scan lines, noisy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model.training.corpus import SIZES, Shape
+
+__all__ = ["Mix", "draw"]
+
+
+@dataclass(frozen=True)
+class Mix:
+    """How often each kind of input is drawn; the rest is clean and even.
+
+    Attributes:
+        noisy: even input with Gaussian noise.
+        random: independent samples, half of them with light noise.
+        ramp: density falling to a quarter across the shape.
+        cut: a part occluded.
+        lines: scan lines, two to four times as dense along as across.
+        noise: largest standard deviation, in spacings.
+    """
+
+    noisy: float = 0.22
+    random: float = 0.12
+    ramp: float = 0.05
+    cut: float = 0.04
+    lines: float = 0.06
+    noise: float = 0.35
+
+
+def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.float64], float]:
+    """One input cloud of the shape.
+
+    Returns:
+        Points ``(M, 3)`` float64 and the standard deviation of their noise, in units of the
+        shape. Large clouds are drawn more often (by the root of their size): they have more to
+        show.
+    """
+    size = rng.choice(len(SIZES), p=np.sqrt(SIZES) / np.sqrt(SIZES).sum())
+    kind = rng.choice(
+        6,
+        p=[
+            mix.noisy,
+            mix.random,
+            mix.ramp,
+            mix.cut,
+            mix.lines,
+            1.0 - mix.noisy - mix.random - mix.ramp - mix.cut - mix.lines,
+        ],
+    )
+    points = shape.inputs[size]
+    noise = 0.0
+    if kind == 0:
+        noise = rng.uniform(0.0, mix.noise)
+    elif kind == 1:
+        points = shape.pool[rng.choice(len(shape.pool), len(points), replace=False)]
+        noise = rng.uniform(0.0, 0.15) if rng.random() < 0.5 else 0.0
+    elif kind == 2:
+        along = points @ _direction(rng)
+        rank = np.argsort(np.argsort(along)) / len(along)
+        points = points[rng.random(len(points)) < 1.0 - 0.75 * rank]
+    elif kind == 3:
+        along = (points - points[rng.integers(len(points))]) @ _direction(rng)
+        kept = points[along > 0.0]
+        points = kept if len(kept) > len(points) // 4 else points
+    elif kind == 4:
+        points = _scan_lines(shape.pool, rng)
+        noise = rng.uniform(0.0, 0.1)
+    points = points.astype(np.float64)
+    if noise:
+        noise *= _typical_spacing(points)
+        points = points + rng.normal(0.0, noise, points.shape)
+    return points, noise
+
+
+def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Samples near equidistant planes, thinned so that lines are denser along than across."""
+    height = pool @ _direction(rng).astype(np.float32)
+    gap = rng.uniform(0.03, 0.06)
+    near = np.abs((height / gap) % 1.0 - 0.5) < 0.04
+    rows = np.flatnonzero(near)
+    keep = int(len(pool) * 0.08 * rng.uniform(0.3, 1.0))
+    return pool[rng.permutation(rows)[: max(keep, 600)]]
+
+
+def _typical_spacing(points: NDArray[np.float64]) -> float:
+    """Root of the area a point has, from distances to 8 neighbours of some points."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(points).query(points[:: max(1, len(points) // 200)], 9)
+    return float(np.median(distance[:, 1:].mean(axis=1)))

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training batches: patches of drawn inputs and the true surface they stand for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch.utils.data import Dataset
+
+from pugeo_model.geometry.frames import Frames, fit_frames, flip_frames
+from pugeo_model.geometry.neighbours import NEIGHBOURS, nearest, spacing
+from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.training.augment import Mix, draw
+from pugeo_model.training.corpus import Shape
+
+__all__ = ["RATIOS", "Batches", "Sample"]
+
+RATIOS: tuple[tuple[int, float, int], ...] = (
+    (4, 0.25, 5),
+    (6, 0.15, 5),
+    (8, 0.30, 5),
+    (16, 0.20, 3),
+    (32, 0.10, 2),
+)
+"""Samples a chart, how often, and patches a step: the work of a step stays about the same."""
+
+_CORE = 256
+_AROUND = 900  # points that hold the core's rings and their neighbours
+_TRUTHS = 1200  # ground-truth samples a patch
+_OWNERS = 6  # nearest inputs of a ground-truth sample, all of which must be core
+_REACHABLE = 1.7  # spacings: what lies further from any input is a hole in the data, not ours
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A patch with its truth.
+
+    Attributes:
+        shape: index of the shape.
+        patch: the network's input.
+        truths: ``(G, 3)`` samples of the true surface owned by the patch.
+        owners: ``(G, 6)`` core rows whose charts may cover each.
+        near: ``(core, 12)`` rows of the nearest points of core points, rows >= core are no charts.
+        noise: standard deviation of the input's noise, in mean spacings.
+    """
+
+    shape: int
+    patch: Patch
+    truths: NDArray[np.float32]
+    owners: NDArray[np.int64]
+    near: NDArray[np.int64]
+    noise: float
+
+
+class Batches(Dataset[tuple[int, list[Sample]]]):
+    """Batch number ``step``, drawn from ``(seed, step)`` alone: training resumes exactly.
+
+    Args:
+        shapes: the corpus.
+        mix: kinds of input.
+        seed: of everything drawn.
+        steps: length.
+        flips: how often an axis of a frame is turned over.
+    """
+
+    def __init__(
+        self, shapes: list[Shape], mix: Mix, seed: int, steps: int, flips: float = 0.2
+    ) -> None:
+        self.shapes, self.mix, self.seed, self.steps = shapes, mix, seed, steps
+        self.flips = flips
+
+    def __len__(self) -> int:
+        return self.steps
+
+    def __getitem__(self, step: int) -> tuple[int, list[Sample]]:
+        """The samples a chart has in this step, and the patches."""
+        rng = np.random.default_rng([self.seed, step])
+        turn = rng.choice(len(RATIOS), p=[share for _, share, _ in RATIOS])
+        count, _, patches = RATIOS[turn]
+        return count, [self._sample(rng) for _ in range(patches)]
+
+    def _sample(self, rng: np.random.Generator) -> Sample:
+        index = int(rng.integers(len(self.shapes)))
+        shape = self.shapes[index]
+        points, noise = draw(shape, self.mix, rng)
+        tree = cKDTree(points)
+        seed = points[rng.integers(len(points))]
+        around = tree.query(seed, min(_AROUND, len(points)))[1]
+        points = points[around]
+        core_count = min(_CORE, len(points))
+        tree = cKDTree(points)
+        distance, neighbours = nearest(points, NEIGHBOURS, tree)
+        # The outermost points lack neighbours beyond the rim; only far rings ever see them.
+        frames = fit_frames(points, neighbours, spacing(distance))
+        frames = self._flip(frames, rng)
+        patch = cut(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
+        truths, owners = self._truths(shape, tree, frames, core_count, seed, rng)
+        near = patch.neighbours[:core_count, :12].astype(np.int64)
+        typical = float(frames.spacing[:core_count].mean())
+        return Sample(index, patch, truths, owners, near, noise / typical)
+
+    def _flip(self, frames: Frames, rng: np.random.Generator) -> Frames:
+        flips = rng.random((2, len(frames.spacing))) < self.flips
+        return flip_frames(frames, flips[0], flips[1])
+
+    def _truths(
+        self,
+        shape: Shape,
+        tree: cKDTree,
+        frames: Frames,
+        core: int,
+        seed: NDArray[np.float64],
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        radius = float(np.linalg.norm(tree.data[core - 1] - seed)) if core else 0.0
+        offset = shape.pool - seed.astype(np.float32)
+        inside = np.flatnonzero((offset * offset).sum(axis=1) < radius * radius)
+        chosen = shape.pool[rng.permutation(inside)[: 2 * _TRUTHS]]
+        distance, owners = tree.query(chosen, _OWNERS)
+        owned = (owners < core).all(axis=1)
+        owned &= distance[:, 0] < _REACHABLE * frames.spacing[np.minimum(owners[:, 0], core - 1)]
+        return chosen[owned][:_TRUTHS], owners[owned][:_TRUTHS].astype(np.int64)

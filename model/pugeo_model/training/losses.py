@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint loss: coverage, point to surface, coarse and refined normals, blended charts.
+
+The paper weighs Chamfer distance and the two normal losses 100, 1, 1 (eq. 12). Chamfer against a
+sample of equal size has a floor set by chance; its two halves are replaced by terms that have
+none: *coverage*, the mean squared distance from the true surface to the nearest prediction (the
+energy of a centroidal tessellation), and *P2F*, the exact distance from a prediction to the mesh.
+All lengths are in units of the local spacing.
+
+The paper prints the unoriented normal loss as the *max* over both signs of the true normal
+(eq. 10, 11); only the *min* is an unoriented difference. Its plain length, not its square, is
+taken: near a crease some normals must be wrong by much, and squares would let them rule.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pugeo_model.network.blend import CHARTS, blend
+from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
+from pugeo_model.training.batches import Sample
+from pugeo_model.training.corpus import Shape
+from pugeo_model.metrics.surface_distance import MeshDistance
+
+__all__ = ["JointLoss", "Weights"]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the terms, and how noise lowers the weight of a patch.
+
+    Attributes:
+        coverage: of ``z + z^2`` with ``z = R d^2 / s^2`` over true surface samples.
+        p2f: of the distance; ``3 R`` times its square is always added, for outliers.
+        coarse_normal: of ``T (0, 0, 1)``.
+        refined_normal: of the final normal.
+        blended: of P2F and normals of blended charts.
+        confidence: of the regression of each chart's log error.
+        noise: a patch's weight is ``1 / (1 + noise * sigma / s)``: its loss is large whatever
+            the network does, and must not drown the clean ones.
+    """
+
+    coverage: float = 1.0
+    p2f: float = 3.0
+    coarse_normal: float = 0.2
+    refined_normal: float = 0.5
+    blended: float = 3.0
+    confidence: float = 0.05
+    noise: float = 8.0
+
+
+class JointLoss:
+    """Loss of a batch.
+
+    Args:
+        shapes: the corpus that ``Sample.shape`` indexes.
+        weights: weights of the terms.
+    """
+
+    def __init__(self, shapes: Sequence[Shape], weights: Weights | None = None) -> None:
+        self.shapes = shapes
+        self.weights = weights or Weights()
+        self._distances: dict[int, MeshDistance] = {}
+
+    def __call__(
+        self, net: PUGeoNet, count: int, samples: Sequence[Sample], rng: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Scalar loss and its parts, each a mean over the batch.
+
+        Args:
+            net: the network.
+            count: samples a chart.
+            samples: the patches.
+            rng: draws the locations at which charts are blended.
+        """
+        w = self.weights
+        core = [sample.patch.core for sample in samples]
+        start = np.cumsum([0, *core[:-1]])
+        frames = [sample.patch.frames for sample in samples]
+        points = _rows([s.patch.points[:n] for s, n in zip(samples, core, strict=True)])
+        axes = _rows([f.axes[:n] for f, n in zip(frames, core, strict=True)])
+        spacing = _rows([f.spacing[:n] for f, n in zip(frames, core, strict=True)])
+        quadric = _rows([f.quadric[:n] for f, n in zip(frames, core, strict=True)])
+        trust = _rows([np.full(n, 1 / (1 + w.noise * s.noise)) for s, n in zip(samples, core, strict=True)])
+
+        charts, uv = net(gather([sample.patch for sample in samples]), quadric, count)
+        local, normals, log_error = evaluate(net.surface, charts, uv)
+        cloud = points[:, None] + spacing[:, None, None] * (local @ axes)
+        world_normals = normals @ axes
+        coarse = (charts.T[..., 2].unsqueeze(1) @ axes).squeeze(1)
+
+        foot, true_normal = self._project(samples, core, cloud.detach())
+        miss = _length(cloud - foot) / spacing[:, None]
+        turn = _unoriented(world_normals, true_normal)
+        coarse_turn = _unoriented(coarse.unsqueeze(1), true_normal)
+        share = trust[:, None] / trust.sum() / count
+
+        # Truths of all patches against the charts that may cover them.
+        truths = _rows([sample.truths for sample in samples])
+        owners = torch.from_numpy(
+            np.concatenate([s.owners + b for s, b in zip(samples, start, strict=True)])
+        )
+        with torch.no_grad():
+            apart = (cloud[owners] - truths[:, None, None]).square().sum(-1).flatten(1)
+            best = apart.argmin(dim=1)
+            winner = owners.gather(1, (best // count).unsqueeze(1)).squeeze(1)
+        reached = cloud[winner, best % count]
+        z = count * (reached - truths).square().sum(-1) / spacing[winner].square()
+        held = trust[winner] / trust[winner].sum()
+
+        expected = (log_error - torch.log(miss.detach() + 0.005)).abs()
+        parts = {
+            "coverage": (held * (z + z.square())).sum(),
+            "p2f": (share * miss).sum(),
+            "p2f_squared": (share * miss.square()).sum(),
+            "coarse_normal": (share * coarse_turn).sum(),
+            "refined_normal": (share * turn).sum(),
+            "confidence": (share * expected).sum(),
+        }
+        parts |= self._blended(net, charts, samples, core, start, points, axes, spacing, cloud, trust, rng)
+        total = (
+            w.coverage * parts["coverage"]
+            + w.p2f * parts["p2f"]
+            + 3.0 * count * parts["p2f_squared"]
+            + w.coarse_normal * parts["coarse_normal"]
+            + w.refined_normal * parts["refined_normal"]
+            + w.blended * (parts["blended_p2f"] + parts["blended_normal"] / 6 + parts["chart_p2f"] / 2)
+            + w.confidence * (parts["confidence"] + parts["chart_confidence"])
+        )
+        return total, {name: float(part.detach()) for name, part in parts.items()}
+
+    def _blended(
+        self,
+        net: PUGeoNet,
+        charts: Charts,
+        samples: Sequence[Sample],
+        core: list[int],
+        start: np.ndarray,
+        points: Tensor,
+        axes: Tensor,
+        spacing: Tensor,
+        cloud: Tensor,
+        trust: Tensor,
+        rng: np.random.Generator,
+    ) -> dict[str, Tensor]:
+        """Charts judged where others put their samples: there they are blended when served."""
+        near = np.concatenate([s.near + b for s, b in zip(samples, start, strict=True)])
+        ends = np.repeat(start + np.array(core), core)
+        whole = torch.from_numpy(np.flatnonzero((near[:, :8] < ends[:, None]).all(axis=1)))
+        pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), 4)))
+        jitter = torch.from_numpy(rng.normal(size=(len(whole), 4, 3), scale=0.1).astype(np.float32))
+        spots = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
+        candidates = torch.cat([whole[:, None], torch.from_numpy(near)[whole, :8]], dim=1)
+        apart = (spots[:, :, None] - points[candidates][:, None]).square().sum(-1)
+        ranks = apart.topk(CHARTS, dim=-1, largest=False).indices
+        chosen = candidates.unsqueeze(1).expand(-1, 4, -1).gather(2, ranks).reshape(-1, CHARTS)
+        spots = spots.reshape(-1, 3)
+        flat = chosen.flatten()
+        picked = Charts(charts.T[flat], charts.code[flat], charts.lift[flat], charts.quadric[flat])
+        offsets = spots[:, None] - points[chosen]
+        step, normal, _, (steps, log_errors) = blend(
+            net.surface, picked, offsets, axes[chosen], spacing[chosen]
+        )
+        landed = spots + step
+        owner = whole.repeat_interleave(4)
+        patch = np.searchsorted(start, owner.numpy(), side="right") - 1
+        counts = np.bincount(patch, minlength=len(samples)).tolist()
+        foot, true_normal = self._project(samples, counts, landed.detach())
+        scale = spacing[owner]
+        share = trust[owner] / trust[owner].sum()
+        miss = _length(landed - foot) / scale
+        turn = _unoriented(normal, true_normal)
+        # One chart alone is judged against the foot's plane: near enough, and a search less.
+        alone = spots[:, None] + steps - foot[:, None]
+        alone = (alone * true_normal[:, None]).sum(-1).abs() / scale[:, None]
+        distance = offsets.square().sum(-1) / spacing[chosen].square()
+        nearby = torch.exp(-distance / 0.64) / CHARTS
+        expected = (log_errors - torch.log(alone.detach() + 0.005)).abs().mean(dim=1)
+        return {
+            "blended_p2f": (share * (miss + cloud.shape[1] * miss.square())).sum(),
+            "blended_normal": (share * turn).sum(),
+            "chart_p2f": (share * (nearby * alone).sum(dim=1)).sum(),
+            "chart_confidence": (share * expected).sum(),
+        }
+
+    def _project(
+        self, samples: Sequence[Sample], counts: list[int], cloud: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Feet and face normals on each sample's own mesh, in the shape of ``cloud``."""
+        feet, normals = [], []
+        for sample, part in zip(samples, cloud.split(counts), strict=True):
+            shape = self.shapes[sample.shape]
+            if sample.shape not in self._distances:
+                self._distances[sample.shape] = MeshDistance(shape.vertices, shape.faces)
+            _, face, foot = self._distances[sample.shape].nearest(
+                part.reshape(-1, 3).numpy().astype(np.float64)
+            )
+            feet.append(foot.reshape(part.shape))
+            normals.append(shape.normals[face].reshape(part.shape))
+        return _rows(feet), _rows(normals)
+
+
+def _rows(arrays: Sequence[np.ndarray]) -> Tensor:
+    return torch.from_numpy(np.concatenate(arrays).astype(np.float32, copy=False))
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """Norm whose gradient at zero is zero, not NaN."""
+    return torch.sqrt(vectors.square().sum(-1) + 1e-16)
+
+
+def _unoriented(normals: Tensor, truth: Tensor) -> Tensor:
+    """``min(|n - m|, |n + m|)`` of unit vectors: about the angle between them, in radians."""
+    return torch.sqrt(2.0 - 2.0 * (normals * truth).sum(-1).abs().clamp(max=1.0) + 1e-6)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training run from meshes to weights, model card and picture of the curves."""
+
+import csv
+import hashlib
+import platform
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import torch
+
+from pugeo_model import __version__
+from pugeo_model.training.corpus import Shape, content_hash, default_cache, load_shape, mesh_files
+from pugeo_model.training.trainer import Recipe, Trainer
+from pugeo_model.weights import save
+
+__all__ = ["load_shapes", "plot_curves", "run"]
+
+
+def load_shapes(
+    folder: Path, tick: Callable[[int, int], None] | None = None
+) -> list[Shape]:
+    """All shapes of a folder; samples are made once and cached (``$PUGEO_CACHE``)."""
+    files = mesh_files(folder)
+    shapes = []
+    for done, path in enumerate(files):
+        if tick:
+            tick(done, len(files))
+        shapes.append(load_shape(path, default_cache()))
+    return shapes
+
+
+def run(
+    shapes: list[Shape],
+    validation: list[Shape],
+    meshes: Path,
+    recipe: Recipe,
+    folder: Path,
+    name: str,
+    every: int,
+    tick: Callable[[int, str], None],
+) -> None:
+    """Train and write ``NAME.safetensors``, its card, ``log.csv`` and ``curves.png``.
+
+    Args:
+        shapes: training shapes.
+        validation: shapes for the validation loss; may be empty.
+        meshes: where the training shapes came from, for the data hash.
+        recipe: what to do.
+        folder: of the run.
+        name: of the weights.
+        every: steps between checkpoints.
+        tick: called with the step and a few words after every step.
+    """
+    trainer = Trainer(shapes, recipe, folder, validation)
+    words = {"": ""}
+
+    def report(_step: int, line: dict[str, float]) -> None:
+        shown = {key: line[key] for key in ("loss", "val_loss") if key in line}
+        words[""] = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
+        plot_curves(folder / "log.csv", folder / "curves.png")
+        save(trainer.net, model_card(trainer, meshes, name), folder / f"{name}.safetensors")
+
+    trainer.run(every, report, lambda step: tick(step, words[""]))
+
+
+def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:
+    """What anyone needs to judge and to repeat the weights."""
+    recipe = trainer.recipe
+    files = mesh_files(meshes)
+    licence = meshes.parent / "MANIFEST.tsv"
+    return {
+        "name": name,
+        "version": __version__,
+        "ratio_range": [1, 32],
+        "parameters": sum(value.numel() for value in trainer.net.parameters()),
+        "training": {
+            "command": f"pugeo train {meshes.name} --steps {recipe.steps} --seed {recipe.seed}",
+            "recipe": recipe.to_json(),
+            "steps": trainer.step,
+            "hours": round(trainer.hours, 3),
+            "hardware": f"{recipe.threads} thread(s) of a {platform.machine()} CPU",
+            "torch": torch.__version__,
+            "shapes": len(files),
+            "data_sha256": content_hash(files),
+            "manifest_sha256": hashlib.sha256(licence.read_bytes()).hexdigest()
+            if licence.exists()
+            else None,
+            "licence_note": (
+                "Training shapes are under Apache-2.0, BSD, MIT, GPL, CC BY, CC BY-SA and public"
+                " domain terms, or classic research models without a licence file; none carries"
+                " a non-commercial licence."
+            ),
+        },
+        "quality": {},
+    }
+
+
+def plot_curves(log: Path, picture: Path) -> None:
+    """Draw the columns of ``log.csv`` over steps, training beside validation."""
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with log.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    names = ("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal")
+    figure, axes = plt.subplots(2, 3, figsize=(12, 6), layout="constrained")
+    steps = [int(row["step"]) for row in rows]
+    for axis, title in zip(axes.flat, names, strict=True):
+        for column, label in ((title, "training"), (f"val_{title}", "validation")):
+            if column in rows[0]:
+                axis.plot(steps, [float(row[column]) for row in rows], label=label)
+        axis.set(title=title.replace("_", " "), xlabel="step", yscale="log")
+        axis.grid(alpha=0.3, which="both")
+    axes.flat[0].legend()
+    figure.savefig(picture, dpi=110)
+    plt.close(figure)

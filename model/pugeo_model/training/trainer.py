@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The training loop: batches, optimiser, schedule, checkpoints, log."""
+
+import csv
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader
+
+from pugeo_model.network.pugeo import Architecture, PUGeoNet
+from pugeo_model.training.augment import Mix
+from pugeo_model.training.batches import Batches
+from pugeo_model.training.corpus import Shape
+from pugeo_model.training.losses import JointLoss, Weights
+
+__all__ = ["Recipe", "Trainer", "learning_rate"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that a run depends on besides the corpus.
+
+    Attributes:
+        architecture: the network.
+        mix: kinds of input.
+        weights: of the loss.
+        steps: length of the run. Raising it and resuming continues the constant phase.
+        rate: learning rate of AdamW.
+        warmup: steps of linear rise.
+        cooldown: share of the steps over which the rate falls to zero at the end.
+        decay: weight decay.
+        clip: bound on the gradient's norm.
+        seed: of weights, batches and draws.
+        threads: torch threads.
+    """
+
+    architecture: Architecture = field(default_factory=Architecture)
+    mix: Mix = field(default_factory=Mix)
+    weights: Weights = field(default_factory=Weights)
+    steps: int = 20_000
+    rate: float = 2e-3
+    warmup: int = 200
+    cooldown: float = 0.3
+    decay: float = 1e-4
+    clip: float = 1.0
+    seed: int = 0
+    threads: int = 1
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain types only, for the model card."""
+        return {**asdict(self), "architecture": self.architecture.to_json()}
+
+
+def learning_rate(recipe: Recipe, step: int) -> float:
+    """Warm-up, constant, then linear to zero: a run can be cut short or extended at will."""
+    fall = int(recipe.steps * (1.0 - recipe.cooldown))
+    rise = min(1.0, (step + 1) / recipe.warmup)
+    left = 1.0 if step < fall else (recipe.steps - step) / max(recipe.steps - fall, 1)
+    return recipe.rate * rise * left
+
+
+class Trainer:
+    """One training run in one folder.
+
+    Writes ``log.csv``, ``checkpoint.pt`` (resumes exactly) and, through ``weights()``, the network.
+
+    Args:
+        shapes: training shapes.
+        recipe: what to do.
+        folder: where to write; an existing checkpoint there is resumed.
+        validation: shapes never trained on, for the validation loss.
+    """
+
+    def __init__(
+        self,
+        shapes: list[Shape],
+        recipe: Recipe,
+        folder: Path,
+        validation: list[Shape] | None = None,
+    ) -> None:
+        torch.set_num_threads(recipe.threads)
+        torch.manual_seed(recipe.seed)
+        self.recipe, self.folder = recipe, folder
+        self.shapes, self.validation = shapes, validation or []
+        self.net = PUGeoNet(recipe.architecture)
+        self.optimizer = torch.optim.AdamW(
+            self.net.parameters(), lr=recipe.rate, weight_decay=recipe.decay, fused=True
+        )
+        self.loss = JointLoss(shapes, recipe.weights)
+        self.step = 0
+        self.hours = 0.0
+        self.best = math.inf
+        folder.mkdir(parents=True, exist_ok=True)
+        if self._checkpoint.exists():
+            self._resume()
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.folder / "checkpoint.pt"
+
+    def run(
+        self,
+        every: int = 500,
+        report: Callable[[int, dict[str, float]], None] | None = None,
+        tick: Callable[[int], None] | None = None,
+    ) -> None:
+        """Train to the end of the recipe.
+
+        Args:
+            every: steps between checkpoints, log lines and validations.
+            report: called with the step and a log line's figures.
+            tick: called after every step.
+        """
+        recipe = self.recipe
+        batches = Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
+        loader = DataLoader(
+            batches,
+            batch_size=None,
+            sampler=range(self.step, recipe.steps),
+            num_workers=1,
+            prefetch_factor=4,
+            multiprocessing_context="fork",
+        )
+        sums: dict[str, float] = {}
+        begun = time.monotonic()
+        since = self.step
+        for count, samples in loader:
+            parts = self._train(count, samples)
+            for name, value in parts.items():
+                sums[name] = sums.get(name, 0.0) + value
+            self.step += 1
+            if tick:
+                tick(self.step)
+            if self.step % every == 0 or self.step == recipe.steps:
+                self.hours += (time.monotonic() - begun) / 3600
+                line = {name: value / (self.step - since) for name, value in sums.items()}
+                line |= self.validate()
+                line |= {"rate": learning_rate(recipe, self.step - 1), "hours": self.hours}
+                self._log(line)
+                self._save()
+                if report:
+                    report(self.step, line)
+                sums, since, begun = {}, self.step, time.monotonic()
+
+    def validate(self, steps: int = 12) -> dict[str, float]:
+        """Parts of the loss on fixed patches of the validation shapes, clean and even input."""
+        if not self.validation:
+            return {}
+        loss = JointLoss(self.validation, self.recipe.weights)
+        clean = Mix(noisy=0, random=0, ramp=0, cut=0, lines=0)
+        batches = Batches(self.validation, clean, seed=1, steps=steps, flips=0.0)
+        sums: dict[str, float] = {}
+        self.net.eval()
+        with torch.no_grad():
+            for step in range(steps):
+                count, samples = batches[step]
+                total, parts = loss(self.net, count, samples, np.random.default_rng(step))
+                for name, value in {"loss": float(total), **parts}.items():
+                    sums[f"val_{name}"] = sums.get(f"val_{name}", 0.0) + value / steps
+        self.net.train()
+        return sums
+
+    def _train(self, count: int, samples: list[Any]) -> dict[str, float]:
+        rate = learning_rate(self.recipe, self.step)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        rng = np.random.default_rng([self.recipe.seed, self.step, 1])
+        total, parts = self.loss(self.net, count, samples, rng)
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.recipe.clip)
+        if torch.isfinite(norm):
+            self.optimizer.step()
+        return {"loss": float(total.detach()), **parts, "gradient": float(norm)}
+
+    def _save(self) -> None:
+        state = {
+            "recipe": self.recipe.to_json(),
+            "net": self.net.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "hours": self.hours,
+        }
+        partial = self._checkpoint.with_suffix(".partial")
+        torch.save(state, partial)
+        partial.replace(self._checkpoint)
+
+    def _resume(self) -> None:
+        state = torch.load(self._checkpoint, weights_only=True)
+        self.net.load_state_dict(state["net"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.hours = state["step"], state["hours"]
+
+    def _log(self, line: dict[str, float]) -> None:
+        path = self.folder / "log.csv"
+        fresh = not path.exists()
+        with path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, ["step", *line])
+            if fresh:
+                writer.writeheader()
+            writer.writerow({"step": self.step, **{k: f"{v:.6g}" for k, v in line.items()}})
