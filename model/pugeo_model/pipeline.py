@@ -5,6 +5,7 @@ The stages are plain functions of plain data, so that the command line runs them
 service spreads ``predict`` and ``land`` over its workers; nothing else differs between the two.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
@@ -89,7 +89,8 @@ class Job:
     """A prepared cloud.
 
     Attributes:
-        cloud: the cleaned input.
+        cloud: the cleaned input, rows in the order of the patches.
+        order: ``(M,)`` int32, the row that each had before.
         points: ``(M, 3)`` float64, unit scale.
         placement: offset and scale taken out.
         neighbours: ``(M, 32)`` int32, nearest first.
@@ -102,6 +103,7 @@ class Job:
     """
 
     cloud: Cloud
+    order: NDArray[np.int32]
     points: NDArray[np.float64]
     placement: Placement
     neighbours: NDArray[np.int32]
@@ -139,10 +141,17 @@ def prepare(cloud: Cloud, options: Options) -> Job:
             f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
             limit=[count, int(MOST) * count],
         )
-    tree = cKDTree(points)
-    distances, neighbours = nearest(points, tree=tree)
+    # Rows in the order of the chunks: a patch's core is then a slice of every array to come.
+    parts = chunks(points, PATCH_SIZE)
+    order = np.concatenate(parts)
+    cleaned, points = cleaned.take(order), points[order]
+    distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances))
-    patches = [cut(core, points, neighbours, frames) for core in chunks(points, PATCH_SIZE)]
+    ends = np.cumsum([0] + [len(part) for part in parts])
+    patches = [
+        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
+        for start, stop in itertools.pairwise(ends)
+    ]
     report = {
         "points_in": len(cloud),
         "points_used": count,
@@ -155,7 +164,17 @@ def prepare(cloud: Cloud, options: Options) -> Job:
     }
     candidates = max(_FEWEST_CANDIDATES, math.ceil(_OVERSAMPLE * n_out / count))
     return Job(
-        cleaned, points, placement, neighbours, frames, patches, candidates, n_out, options, report
+        cloud=cleaned,
+        order=order,
+        points=points,
+        placement=placement,
+        neighbours=neighbours,
+        frames=frames,
+        patches=patches,
+        candidates=candidates,
+        n_out=n_out,
+        options=options,
+        report=report,
     )
 
 
@@ -244,6 +263,9 @@ def finish(job: Job, landed: "Sequence[Landed]") -> Result:
         scalars=scalars,
         notes=cloud.notes,
     )
+    if job.n_out == len(job.points):
+        # No point is new: each returns to its own row.
+        dense = dense.take(np.argsort(job.order))
     return Result(dense, {**job.report, "orient": method})
 
 

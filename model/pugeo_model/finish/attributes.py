@@ -83,7 +83,10 @@ def _mean(values: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[np.floa
     used = np.where(finite, weights, 0.0)
     total = used.sum(axis=1)
     known = total > 0.0
-    # Shares first: a sum of values near the largest float would overflow, a mean does not.
+    # Shares first, and clipped: a sum of values near the largest float would overflow.
     shares = used / np.where(known, total, 1.0)[:, None]
-    mean: NDArray[np.float64] = (shares * np.where(finite, values, 0.0)).sum(axis=1)
-    return np.where(known, mean, values[:, 0])
+    with np.errstate(over="ignore"):
+        mean = (shares * np.where(finite, values, 0.0)).sum(axis=1)
+    low = np.where(finite, values, np.inf).min(axis=1)
+    high = np.where(finite, values, -np.inf).max(axis=1)
+    return np.where(known, np.clip(mean, low, high), values[:, 0])

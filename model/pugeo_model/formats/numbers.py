@@ -132,8 +132,8 @@ class NumberLines:
             return None
         whole = self._rest[: self._rest.rfind(b"\n") + 1]
         data = np.frombuffer(whole, np.uint8)
-        # Every control byte counts as blank here; those that are none make the parser fail later.
-        blank = data <= 32
+        # Blank is what it is to bytes.split: space and 9 to 13. Unsigned numbers wrap around.
+        blank = (data == 32) | (data - np.uint8(9) <= 4)
         first = ~blank
         first[1:] &= blank[:-1]
         ends = np.flatnonzero(data == 10)

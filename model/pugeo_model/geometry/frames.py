@@ -100,13 +100,19 @@ def flip_frames(frames: Frames, normal: NDArray[np.bool_], tangent: NDArray[np.b
 def _principal_axes(points, neighbours, spacing, axes):  # type: ignore[no-untyped-def]
     """Rows of ``axes``: directions of falling variance of the Gaussian-weighted neighbours."""
     count, k = neighbours.shape
+    mean = np.zeros(3)
+    second = np.zeros((3, 3))
+    d = np.zeros(3)
     for i in range(count):
         total = 1.0
-        mean = np.zeros(3)
-        second = np.zeros((3, 3))
+        mean[:] = 0.0
+        second[:] = 0.0
         for j in range(k):
-            d = (points[neighbours[i, j]] - points[i]) / spacing[i]
-            w = np.exp(-(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / (_SUPPORT * _SUPPORT))
+            far = 0.0
+            for a in range(3):
+                d[a] = (points[neighbours[i, j], a] - points[i, a]) / spacing[i]
+                far += d[a] * d[a]
+            w = np.exp(-far / (_SUPPORT * _SUPPORT))
             total += w
             for a in range(3):
                 mean[a] += w * d[a]
@@ -262,13 +268,18 @@ def _fix_signs(points, neighbours, spacing, axes):  # type: ignore[no-untyped-de
         height = 0.0
         skew = 0.0
         for j in range(k):
-            d = (points[neighbours[i, j]] - points[i]) / spacing[i]
-            w = np.exp(-(d * d).sum() / (_SUPPORT * _SUPPORT))
-            u = (frame[0] * d).sum()
-            height += w * (frame[2] * d).sum()
+            far = u = h = 0.0
+            for a in range(3):
+                d = (points[neighbours[i, j], a] - points[i, a]) / spacing[i]
+                far += d * d
+                u += frame[0, a] * d
+                h += frame[2, a] * d
+            w = np.exp(-far / (_SUPPORT * _SUPPORT))
+            height += w * h
             skew += w * u * u * u
-        if height < 0.0:
-            frame[2] = -frame[2]
-        if skew < 0.0:
-            frame[0] = -frame[0]
-        frame[1] = np.cross(frame[2], frame[0])
+        up = -1.0 if height < 0.0 else 1.0
+        along = -1.0 if skew < 0.0 else 1.0
+        for a in range(3):
+            frame[0, a] *= along
+            frame[1, a] *= up * along
+            frame[2, a] *= up

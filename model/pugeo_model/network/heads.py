@@ -95,8 +95,8 @@ class Samples(nn.Module):
         )
         with wide_products():
             stretch = (self.stretch(features).float() + self.identity).unflatten(-1, (2, 2))
-            hidden = functional.relu(self.code(features).unsqueeze(1) + self.pattern(seen))
-            hidden = functional.relu(self.hidden(hidden))
+            hidden = torch.relu_(self.code(features).unsqueeze(1) + self.pattern(seen))
+            hidden = torch.relu_(self.hidden(hidden))
             residual = 2.0 * inverse_root * self.out(hidden).float()
         return _DISK * (pattern @ stretch.mT + residual)
 
@@ -148,8 +148,8 @@ class Surface(nn.Module):
         u, v = uv.unbind(-1)
         terms = torch.stack([u, v, u * u, u * v, v * v, height, *slope.unbind(-1)], dim=-1)
         with wide_products():
-            hidden = functional.relu(code.unsqueeze(1) + self.terms(terms))
-            out = self.out(functional.relu(self.hidden(hidden))).float()
+            hidden = torch.relu_(self.terms(terms).add_(code.unsqueeze(1)))
+            out = self.out(torch.relu_(self.hidden(hidden))).float()
         displacement = height + lift.unsqueeze(1) + out[..., 0]
         up = torch.ones_like(displacement)
         normal = torch.stack([out[..., 1] - slope[..., 0], out[..., 2] - slope[..., 1], up], dim=-1)

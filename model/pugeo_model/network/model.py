@@ -123,7 +123,7 @@ class Model:
         offsets = landing.spots[:, None] - landing.points[landing.charts]
         charts = Charts(
             torch.from_numpy(landing.T)[flat],
-            torch.from_numpy(landing.code)[flat].float(),
+            torch.from_numpy(landing.code).to(torch.bfloat16)[flat],
             torch.from_numpy(landing.lift)[flat],
             torch.from_numpy(landing.quadric)[flat],
         )

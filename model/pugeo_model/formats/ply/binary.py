@@ -33,6 +33,7 @@ def read_rows(file: IO[bytes], element: Element, order: str, sinks: Sinks) -> No
     if not element.has_lists:
         stride = element.least_row_bytes
         if sinks:
+            _check_size(file, element, stride)
             _read_alike(file, element, _row_type(element, order, {}), sinks, {})
         else:
             _check_size(file, element, stride)
@@ -46,7 +47,7 @@ def read_rows(file: IO[bytes], element: Element, order: str, sinks: Sinks) -> No
             row_type = _row_type(element, order, lengths)
             done = _read_alike(file, element, row_type, sinks, lengths)
         if done < element.count:
-            _read_walking(file, element, order, sinks, done)
+            _read_walking(file, element, order, sinks, done, start)
 
 
 def _row_type(element: Element, order: str, lengths: Mapping[str, int]) -> np.dtype[np.void]:
@@ -89,8 +90,6 @@ def _read_alike(
 ) -> int:
     """Read rows of one size; returns how many, up to the first one whose lists differ."""
     stride = row_type.itemsize
-    if not lengths:
-        _check_size(file, element, stride)
     step = max(1, CHUNK_BYTES // stride)
     done = 0
     while done < element.count:
@@ -146,8 +145,10 @@ def _bad_list(element: Element, row: int) -> MalformedFile:
     )
 
 
-def _read_walking(file: IO[bytes], element: Element, order: str, sinks: Sinks, done: int) -> None:
-    """Read rows of different sizes, from row ``done`` on."""
+def _read_walking(
+    file: IO[bytes], element: Element, order: str, sinks: Sinks, done: int, start: int
+) -> None:
+    """Read rows of different sizes, from row ``done`` on; the first row began at ``start``."""
     plan = segment_plan(element, order)
     data = b""
     while done < element.count:
@@ -160,8 +161,10 @@ def _read_walking(file: IO[bytes], element: Element, order: str, sinks: Sinks, d
         if broken:
             raise _bad_list(element, done + len(offsets))
         if len(offsets) == 0 and not fresh:
-            expected = (element.count - done) * element.least_row_bytes
-            raise truncated(element, expected, len(data), done)
+            found = file.tell() - start
+            missing = (element.count - done) * element.least_row_bytes
+            least = max(found - len(data) + missing, found + 1)
+            raise truncated(element, least, found, done)
         for name, sink in sinks.items():
             segment, shift, kind = plan.fields[name]
             places = (offsets[:, segment] + shift)[:, None] + np.arange(kind.itemsize)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Local canonical charts: features of neighbourhoods already turned, scaled and bent alike."""
+"""Local canonical charts: features of neighbourhoods already turned, scaled and bent alike.
+
+Sums and rectifications are done in place wherever no gradient needs what they overwrite: these
+layers are bound by memory, not by arithmetic.
+"""
 
 import torch
 from torch import Tensor, nn
@@ -46,7 +50,7 @@ class Neighbours(nn.Module):
 
     def forward(self, edges: Tensor, scalars: Tensor) -> Tensor:
         """``(k, n, 5)``, ``(n, 9)`` -> ``(n, out)``."""
-        each = functional.relu(self.second(functional.relu(self.first(edges))))
+        each = torch.relu_(self.second(torch.relu_(self.first(edges))))
         # Neighbours come sorted by distance: the max over the first 16 grows from that over 8.
         pools = []
         start = 0
@@ -56,7 +60,7 @@ class Neighbours(nn.Module):
             start = stop
         pools.append(mean_pool(each))
         hierarchy = self.recalibration(torch.cat(pools, dim=-1))
-        return functional.relu(self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], -1)))
+        return torch.relu_(self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], -1)))
 
 
 class Messages(nn.Module):
@@ -80,10 +84,10 @@ class Messages(nn.Module):
         own = features.index_select(0, turn.rows)
         sent = self.sender(features).index_select(0, turn.sources.flatten())
         sent = sent.unflatten(0, tuple(turn.sources.shape))
-        each = functional.relu(self.pose(turn.pose) + sent + self.receiver(own))
-        each = functional.relu(self.second(each))
+        each = torch.relu_(self.pose(turn.pose).add_(sent).add_(self.receiver(own)))
+        each = torch.relu_(self.second(each))
         pooled = torch.cat([own, max_pool(each), mean_pool(each)], dim=-1)
-        return self.norm(own + functional.relu(self.out(pooled)))
+        return self.norm(own + torch.relu_(self.out(pooled)))
 
 
 class ChartsBackbone(nn.Module):
@@ -111,4 +115,4 @@ class ChartsBackbone(nn.Module):
             latest = layer(levels[-1], turn)
             levels = [*levels[:-1], levels[-1].index_select(0, turn.rows), latest]
         hierarchy = self.recalibration(torch.cat(levels, dim=-1))
-        return functional.relu(self.out(hierarchy))
+        return torch.relu_(self.out(hierarchy))

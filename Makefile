@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+# `make help` lists the targets. Everything is installed into .venv beside this file.
+
+PYTHON ?= python3
+TORCH_VERSION ?= 2.13.0
+# PyTorch's own index of builds without CUDA, which are a tenth of the size.
+TORCH_INDEX_URL ?= https://download.pytorch.org/whl/cpu
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL := $(PIP) install -qq --constraint constraints.txt
+SOURCES := client model service tests examples deploy $(wildcard benchmarks)
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test serve lint format train bench constraints clean
+
+help: ## list these targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+install: $(VENV)/.installed-dev ## make .venv with everything that developing needs
+
+demo: $(VENV)/.installed-demo ## start the service, upsample an example, draw out/before_after.png
+	@$(BIN)/python examples/demo.py $(ARGS)
+
+test: $(VENV)/.installed-dev ## run all tests (ARGS="-m 'not slow'" leaves the slow ones out)
+	@$(BIN)/python -m pytest $(ARGS)
+
+serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
+	@$(BIN)/python -m pugeo_service $(ARGS)
+
+lint: $(VENV)/.installed-dev ## check style, types, imports between packages, and container files
+	@$(BIN)/ruff check $(SOURCES)
+	@$(BIN)/ruff format --check $(SOURCES)
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --config pyproject.toml
+	@$(BIN)/hadolint Dockerfile
+	@$(BIN)/yamllint --strict docker-compose.yml deploy
+	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
+
+format: $(VENV)/.installed-dev ## let ruff format the code and mend what it can
+	@$(BIN)/ruff check --fix $(SOURCES)
+	@$(BIN)/ruff format $(SOURCES)
+
+train: $(VENV)/.installed-dev ## train the network (ARGS="--help" tells how)
+	@$(BIN)/pugeo train $(ARGS)
+
+bench: $(VENV)/.installed-dev ## print the figures of the README, with machine and commit
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+constraints: $(VENV)/.installed-dev ## write what .venv holds now into constraints.txt
+	@{ head -1 constraints.txt; $(PIP) freeze --exclude-editable 2>/dev/null | sed 's/+cpu$$//' | LC_ALL=C sort -f; } > constraints.new
+	@mv constraints.new constraints.txt
+
+clean: ## remove .venv, caches and everything made
+	rm -rf $(VENV) out build dist .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	find $(SOURCES) -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "There is no $(PYTHON); name one with make PYTHON=..."; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "pugeo needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V 2>&1). Name another with make PYTHON=..."; exit 1; }
+	@echo "making $(VENV) with $$($(PYTHON) -V) ..."
+	@$(PYTHON) -m venv $(VENV)
+
+# torch comes first and alone: the default index would bring CUDA's libraries along, and PyTorch's
+# own has torch's dependencies in few versions. Those come with the rest.
+$(VENV)/.installed-torch: | $(BIN)/python
+	@echo "installing torch $(TORCH_VERSION) ..."
+	@$(INSTALL) --no-deps --retries 0 --timeout 10 --index-url $(TORCH_INDEX_URL) torch==$(TORCH_VERSION) 2>/dev/null || { \
+	  echo "(not to be had from TORCH_INDEX_URL; taking torch from the default index)"; \
+	  $(INSTALL) --no-deps torch==$(TORCH_VERSION); }
+	@touch $@
+
+$(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)/.installed-torch
+	@echo "installing the service ..."
+	@$(INSTALL) --editable '.[demo]'
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/.installed-torch
+	@echo "installing the service and the tools ..."
+	@$(INSTALL) --editable '.[dev]'
+	@touch $(VENV)/.installed-demo $@

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When to try again, and how long to wait before: pure functions, no clock and no sleep."""
+
+from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, PugeoError, StatusError
+
+__all__ = ["delay_before_retry"]
+
+RETRIED_STATUS = frozenset({408, 425, 429, 502, 503, 504})
+RETRY_AFTER_CAP = 120.0
+"""Seconds. A service that asks for a longer wait gets none: its error is raised instead."""
+FIRST_DELAY = 0.5
+LONGEST_DELAY = 8.0
+
+
+def delay_before_retry(
+    failure: PugeoError, *, attempt: int, max_retries: int, remaining: float, jitter: float
+) -> float | None:
+    """Decide whether to try again after a failure.
+
+    Args:
+        failure: what the attempt ended with.
+        attempt: how many retries came before, 0 after the first try.
+        max_retries: how many retries are allowed in all.
+        remaining: seconds left of the call's total timeout.
+        jitter: uniform in [0, 1). Spreads clients that failed together.
+
+    Returns:
+        Seconds to wait before the next try, or None: raise the failure.
+    """
+    if attempt >= max_retries or not _may_succeed_later(failure):
+        return None
+    backoff = min(FIRST_DELAY * 2.0**attempt, LONGEST_DELAY)
+    asked = failure.retry_after if isinstance(failure, StatusError) else None
+    if asked is None:
+        delay = backoff * (0.5 + 0.5 * jitter)
+    elif asked > RETRY_AFTER_CAP:
+        return None
+    else:
+        # Never earlier than asked; a little later, lest a queue of clients comes at once.
+        delay = asked + 0.25 * backoff * jitter
+    return delay if delay < remaining else None
+
+
+def _may_succeed_later(failure: PugeoError) -> bool:
+    if isinstance(failure, StatusError):
+        return failure.status in RETRIED_STATUS and failure.retryable is not False
+    return isinstance(failure, ConnectionFailed) and not isinstance(failure, DeadlineExceeded)

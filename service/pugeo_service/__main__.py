@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m pugeo_service``: the service without the command line of the model."""
+
+# Worker processes import this module again under another name, so it must stay light.
+if __name__ == "__main__":
+    import typer
+
+    from pugeo_service.cli import serve
+
+    typer.run(serve)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``pugeo serve``."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+__all__ = ["serve"]
+
+Option = typer.Option
+
+
+def serve(
+    host: Annotated[str | None, Option(help="Address to listen on [127.0.0.1].")] = None,
+    port: Annotated[int | None, Option(help="Port; 0 takes a free one [8000].")] = None,
+    workers: Annotated[
+        int | None, Option(help="Worker processes; 0: one a processor, two at least [0].")
+    ] = None,
+    engine: Annotated[
+        str | None, Option(help="dask, or inline: threads in this process, to debug [dask].")
+    ] = None,
+    scheduler: Annotated[
+        str | None, Option(help="tls://host:port of a Dask cluster that runs elsewhere.")
+    ] = None,
+    model: Annotated[str | None, Option(help="Name or path of the weights [standard].")] = None,
+    max_body_bytes: Annotated[int | None, Option(help="Limit of a body, in bytes.")] = None,
+    max_points: Annotated[int | None, Option(help="Limit of an input, in points.")] = None,
+    max_output_points: Annotated[int | None, Option(help="Limit of an answer, in points.")] = None,
+    queue_patches: Annotated[int | None, Option(help="Capacity of the queue, in patches.")] = None,
+    queue_requests: Annotated[
+        int | None, Option(help="Capacity of the queue, in requests.")
+    ] = None,
+    deadline_s: Annotated[float | None, Option(help="Seconds a request may take [600].")] = None,
+    drain_s: Annotated[
+        int | None, Option(help="Seconds to finish accepted work on SIGTERM [60].")
+    ] = None,
+    spool_dir: Annotated[
+        Path | None, Option(help="Folder of bodies and results on their way.")
+    ] = None,
+    log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
+    log_level: Annotated[str | None, Option(help="debug, info, warning or error [info].")] = None,
+) -> None:
+    """Serve upsampling over HTTP.
+
+    Every option can also be set in the environment: PUGEO_PORT=8080, PUGEO_WORKERS=4.
+    """
+    given: dict[str, Any] = {name: value for name, value in locals().items() if value is not None}
+    # Imported here: the command line lists its commands without loading a web framework.
+    from pugeo_service.server import main
+
+    raise typer.Exit(main(given))

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many processors this process may really use."""
+
+import math
+import os
+from pathlib import Path
+
+__all__ = ["available_cpus", "cgroup_quota"]
+
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+def cgroup_quota(root: Path = _CGROUP) -> float | None:
+    """Return the CPU quota of the control group in processors, or ``None`` where there is none.
+
+    Args:
+        root: mount point of the control groups; version 2 (``cpu.max``) and
+            version 1 (``cpu/cpu.cfs_quota_us``) are read.
+    """
+    try:
+        quota, period = (root / "cpu.max").read_text().split()[:2]
+        return None if quota == "max" else int(quota) / int(period)
+    except (OSError, ValueError):
+        pass
+    try:
+        quota_us = int((root / "cpu" / "cpu.cfs_quota_us").read_text())
+        period_us = int((root / "cpu" / "cpu.cfs_period_us").read_text())
+    except (OSError, ValueError):
+        return None
+    return quota_us / period_us if quota_us > 0 and period_us > 0 else None
+
+
+def available_cpus(root: Path = _CGROUP) -> int:
+    """Return the number of processors (>= 1) allowed by both affinity and quota.
+
+    ``os.cpu_count`` reports the host, which inside a container starts far too many workers.
+    """
+    affinity = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    quota = cgroup_quota(root)
+    count = affinity or 1
+    return max(1, count if quota is None else min(count, math.ceil(quota)))

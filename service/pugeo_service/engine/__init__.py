@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the work is done: a graph of small tasks for each request, run by worker processes."""
+
+from pugeo_service.engine.engine import Engine
+from pugeo_service.engine.errors import EngineLost, WorkerLost
+from pugeo_service.engine.order import Order, Outcome
+
+__all__ = ["Engine", "EngineLost", "Order", "Outcome", "WorkerLost"]

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Worker processes through Dask: started here, or elsewhere behind a scheduler."""
+
+import asyncio
+import contextlib
+import logging
+import secrets
+from collections.abc import Iterable
+from typing import Any
+
+import dask
+import distributed
+from distributed.client import FutureCancelledError
+from distributed.scheduler import KilledWorker
+
+from pugeo_service.engine.errors import EngineLost, WorkerLost
+from pugeo_service.engine.pool import Stage
+from pugeo_service.engine.task import run_stage
+from pugeo_service.settings import Settings
+
+__all__ = ["DaskPool"]
+
+# Its annotations cover half of it and contradict the other half.
+_dask: Any = distributed
+
+_CONFIG = {
+    # A task that ends two workers is taken for the cause.
+    "distributed.scheduler.allowed-failures": 1,
+    # A body travels as an argument, which is what lets Dask repeat a lost step by itself.
+    "distributed.admin.large-graph-warning-threshold": "10 GB",
+    "distributed.worker.preload": ["pugeo_service.engine.preload"],
+    "distributed.worker.multiprocessing-method": "spawn",
+    # By default a worker that needs more than 15 s to come back is given up for good.
+    "distributed.deploy.lost-worker-timeout": "365 days",
+    # No side doors: the ports that Dask insists on opening answer nothing.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    # Nothing that this process does not show to anybody needs a statistical profile.
+    "distributed.worker.profile.enabled": False,
+}
+# Processes are the unit of parallelism; threads in each would fight over the same cores.
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+_GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
+_POLL_S = 0.5
+
+
+class DaskPool:
+    """The ``Pool`` that serves."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._cluster: Any = None
+        self._client: Any = None
+        self._poll: asyncio.Task[None] | None = None
+        self._workers: frozenset[str] = frozenset()
+        self.lost_workers = 0
+
+    @property
+    def warm_workers(self) -> int:
+        """Workers known to the scheduler; their preload warmed them before it knew them."""
+        return len(self._workers)
+
+    async def start(self) -> None:
+        """Start the cluster or reach it; returns once a worker is warm."""
+        dask.config.set(_CONFIG)
+        for name in ("distributed", "distributed.nanny", "distributed.scheduler"):
+            logging.getLogger(name).setLevel(logging.WARNING)
+        settings = self._settings
+        if settings.scheduler is None:
+            security = _dask.Security.temporary()
+            self._cluster = await _dask.LocalCluster(
+                n_workers=settings.worker_count,
+                processes=True,
+                threads_per_worker=1,
+                memory_limit=settings.worker_memory,
+                asynchronous=True,
+                security=security,
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                local_directory=str(settings.spool_dir),
+                env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
+            )
+            address: Any = self._cluster
+        else:
+            security = _dask.Security(
+                tls_ca_file=str(settings.tls_ca),
+                tls_client_cert=str(settings.tls_cert),
+                tls_client_key=str(settings.tls_key),
+                require_encryption=True,
+            )
+            address = settings.scheduler
+        # Results go from worker to front without a copy in the scheduler.
+        self._client = await _dask.Client(
+            address, asynchronous=True, security=security, direct_to_workers=True
+        )
+        await self._client.wait_for_workers(1)
+        await self._look()
+        self._poll = asyncio.create_task(self._keep_looking())
+
+    async def stop(self) -> None:
+        """Close the connection, and the workers if they are ours."""
+        if self._poll is not None:
+            self._poll.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._poll
+        if self._client is not None:
+            await self._client.close()
+        if self._cluster is not None:
+            await self._cluster.close()
+
+    def submit(self, stage: Stage, *args: Any, priority: float, seconds: float, long: bool) -> Any:
+        """Queue ``stage(*args)``."""
+        # Dask guesses how long a task takes from others whose key begins alike.
+        prefix = f"{stage}_{'long' if long else 'short'}"
+        return self._connected.submit(
+            run_stage,
+            stage,
+            seconds,
+            *args,
+            key=f"{prefix}-{secrets.token_hex(12)}",
+            pure=False,
+            priority=priority,
+        )
+
+    async def wait(self, handle: Any) -> None:
+        """Wait for a result without moving it."""
+        error = await handle.exception()
+        if error is not None:
+            raise _translated(error)
+        if handle.cancelled():
+            raise EngineLost(f"the scheduler forgot {handle.key}")
+
+    async def fetch(self, handle: Any) -> Any:
+        """Wait for a result and bring it here."""
+        await self.wait(handle)
+        try:
+            return await self._connected.gather(handle)
+        except (KilledWorker, FutureCancelledError) as error:
+            raise _translated(error) from error
+
+    def release(self, handles: Iterable[Any]) -> None:
+        """Let results go that nothing but tasks already submitted needs."""
+        for handle in handles:
+            handle.release()
+
+    def cancel(self, handles: Iterable[Any]) -> None:
+        """Let results go; Dask drops whatever has not begun once nobody wants it."""
+        self.release(handles)
+
+    @property
+    def _connected(self) -> Any:
+        if self._client is None:
+            raise EngineLost("the engine has not started")
+        return self._client
+
+    async def _keep_looking(self) -> None:
+        while True:
+            await asyncio.sleep(_POLL_S)
+            try:
+                await self._look()
+            except OSError:
+                self._workers = frozenset()
+
+    async def _look(self) -> None:
+        identity = await self._connected.scheduler.identity(n_workers=-1)
+        workers = frozenset(
+            worker["id"] if isinstance(worker["id"], str) else address
+            for address, worker in identity["workers"].items()
+            if worker["status"] == "running"
+        )
+        self.lost_workers += len(self._workers - workers)
+        self._workers = workers
+        if self._cluster is not None:
+            self._replace_nannies()
+
+    def _replace_nannies(self) -> None:
+        """Start anew what watches a worker where it gave up, say because memory was short."""
+        nannies = self._cluster.workers
+        gone = [name for name, nanny in nannies.items() if nanny.status in _GONE]
+        for name in gone:
+            del nannies[name]
+        if gone:
+            self._cluster.scale(self._settings.worker_count)
+
+
+def _translated(error: BaseException) -> BaseException:
+    if isinstance(error, KilledWorker):
+        return WorkerLost(str(error))
+    if isinstance(error, FutureCancelledError):
+        return EngineLost(str(error))
+    return error

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes into the engine and what comes out of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from pugeo_service.spool import Spool
+
+__all__ = ["Head", "Order", "Outcome", "Sheet", "Watcher"]
+
+# A patch has 2048 points of its own and a point takes 12 bytes at least: what a body of unknown
+# content may hold, before anybody read it.
+_BYTES_PER_PATCH = 2048 * 12
+
+
+@dataclass(frozen=True)
+class Order:
+    """A request as the workers see it: plain values, no model, no open file.
+
+    Attributes:
+        model: name or path of the weights.
+        format: the input's format, or ``None`` where the content decides.
+        answer: format of the answer.
+        options: keyword arguments of the model's ``Options``.
+        max_points: bound on the points of the input.
+        max_output_points: bound on the points of the answer.
+        batch_patches: bound on the patches of one task.
+        deadline_s: seconds the whole may take.
+    """
+
+    model: str
+    format: str | None
+    answer: str
+    options: dict[str, Any]
+    max_points: int
+    max_output_points: int
+    batch_patches: int
+    deadline_s: float
+
+    @staticmethod
+    def estimate(size: int) -> int:
+        """Return a guess (>= 1) at the patches in a body of ``size`` bytes."""
+        return max(1, size // _BYTES_PER_PATCH)
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the front learns once a cloud is prepared.
+
+    Attributes:
+        patches: units of work.
+        seconds: time of each stage so far.
+    """
+
+    patches: int
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What the front learns once an answer is written, with the first chunk of it.
+
+    Attributes:
+        chunks: how many chunks the answer has.
+        first: chunk 0.
+        report: the model's report of the run.
+        seconds: time of each stage on the workers.
+    """
+
+    chunks: int
+    first: bytes
+    report: dict[str, Any]
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An answer, whole, in the hands of the front.
+
+    Attributes:
+        spool: the bytes; whoever holds the outcome closes it.
+        report: the model's report of the run.
+        seconds: wall time of each stage, in order; ``queue`` is the time waited.
+        batches: seconds and patches of each batch that the network ran.
+    """
+
+    spool: Spool
+    report: dict[str, Any]
+    seconds: dict[str, float]
+    batches: list[tuple[float, int]]
+
+
+def _ignore(*_: int) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Who is told how far a request is; called from the engine's thread.
+
+    Attributes:
+        on_patches: the number of patches became known.
+        on_done: that many patches more went through the network.
+    """
+
+    on_patches: Callable[[int], object] = field(default=_ignore)
+    on_done: Callable[[int], object] = field(default=_ignore)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the engine needs of whatever runs its tasks."""
+
+from collections.abc import Iterable
+from typing import Any, Literal, Protocol
+
+__all__ = ["Pool", "Stage"]
+
+# Functions of `stages`, by name: the front must not import what they need.
+Stage = Literal[
+    "prepare",
+    "describe_prepared",
+    "cut_patches",
+    "predict",
+    "merge",
+    "describe_merged",
+    "cut_landings",
+    "land",
+    "finish",
+    "describe_written",
+    "chunk",
+]
+
+
+class Pool(Protocol):
+    """Runs stages on workers. Everything happens in the engine's own event loop."""
+
+    async def start(self) -> None:
+        """Start the workers, or reach those that run elsewhere, and wait until one is warm."""
+
+    async def stop(self) -> None:
+        """End what was started."""
+
+    @property
+    def warm_workers(self) -> int:
+        """Workers that could run a task now."""
+
+    @property
+    def lost_workers(self) -> int:
+        """Workers that ended without being told to, since the start."""
+
+    def submit(self, stage: Stage, *args: Any, priority: float, seconds: float, long: bool) -> Any:
+        """Queue ``stage(*args)`` and return a handle of its result, which stays on a worker.
+
+        Args:
+            stage: name of a function of ``stages``.
+            args: values, handles, or lists of handles.
+            priority: larger runs earlier.
+            seconds: a worker that takes longer is ended.
+            long: the stage takes seconds and not milliseconds, as the pool could not know.
+        """
+
+    async def wait(self, handle: Any) -> None:
+        """Wait for a result without moving it.
+
+        Raises:
+            WorkerLost: it ended two workers.
+            EngineLost: the scheduler forgot it.
+            Exception: what the stage raised.
+        """
+
+    async def fetch(self, handle: Any) -> Any:
+        """Wait for a result and bring it here; raises what ``wait`` raises."""
+
+    def release(self, handles: Iterable[Any]) -> None:
+        """Let results go that nothing but tasks already submitted needs."""
+
+    def cancel(self, handles: Iterable[Any]) -> None:
+        """Let results go, and drop whatever has not begun yet."""

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every worker does before its first task: ``dask worker --preload`` names this module.
+
+Dask runs a preload before the worker tells the scheduler that it exists, so every worker that
+the scheduler knows is warm.
+"""
+
+import logging
+import os
+import signal
+
+from pugeo_service.engine import stages
+from pugeo_service.engine.sample import sample_body, sample_order
+
+__all__ = ["dask_setup", "warm"]
+
+
+def warm(model: str) -> None:
+    """Load the model and send a small sphere all the way, so that no user waits for it."""
+    prepared = stages.prepare(sample_body(), sample_order(model, deadline_s=0.0))
+    total = stages.describe_prepared(prepared).patches
+    charted = [stages.predict(stages.cut_patches(prepared, i, i + 1), model) for i in range(total)]
+    merged = stages.merge(prepared, charted)
+    stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
+
+
+def dask_setup(_worker: object) -> None:
+    """Warm this process; Dask calls it in every worker before the worker registers."""
+    # Ctrl+C reaches the whole process group, and the front ends its workers in good order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Dask logs every exception with all arguments; the front logs those that are bugs.
+    logging.getLogger("distributed.worker").setLevel(logging.ERROR)
+    warm(os.environ.get("PUGEO_MODEL", "standard"))

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a request as functions that run in a worker process.
+
+Values between them stay on the workers; only ``Head`` and ``Sheet`` travel to the front.
+"""
+
+import functools
+import io
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model import formats, pipeline, weights
+from pugeo_model.cloud import Cloud
+from pugeo_model.errors import LimitExceeded
+from pugeo_model.formats.limits import Limits
+from pugeo_service.engine.order import Head, Order, Sheet
+
+__all__ = [
+    "Charted",
+    "Cut",
+    "Merged",
+    "Prepared",
+    "Written",
+    "chunk",
+    "cut_landings",
+    "cut_patches",
+    "describe_merged",
+    "describe_prepared",
+    "describe_written",
+    "finish",
+    "land",
+    "load_model",
+    "merge",
+    "predict",
+    "prepare",
+]
+
+_CHUNK_BYTES = 8 << 20
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A cloud that was read and cut into patches."""
+
+    job: Any
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Some of the patches of a job."""
+
+    patches: list[Any]
+    candidates: int
+
+
+@dataclass(frozen=True)
+class Charted:
+    """Patches that went through the network."""
+
+    charts: list[Any]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Where the points of the answer go."""
+
+    landings: list[Any]
+    seconds: float
+    batches: list[tuple[float, int]]
+
+
+@dataclass(frozen=True)
+class Written:
+    """The answer's bytes, uint8."""
+
+    data: NDArray[np.uint8]
+    report: dict[str, Any]
+    seconds: dict[str, float]
+
+
+@functools.lru_cache(maxsize=2)
+def load_model(name: str) -> Any:
+    """Return the model called ``name``, loaded once for each process."""
+    return weights.load(name)
+
+
+def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
+    """Read the bytes of a body, uint8 ``(size,)``, and cut the cloud into patches.
+
+    Raises:
+        CloudError: everything that can be wrong with an input.
+    """
+    start = time.perf_counter()
+    options = pipeline.Options(**order.options)
+    limits = Limits(max_points=order.max_points)
+    cloud = formats.read(io.BytesIO(body.data), format=order.format, limits=limits)
+    _check_output(cloud, options, order.max_output_points)
+    read = time.perf_counter()
+    job = pipeline.prepare(cloud, options)
+    return Prepared(job, {"read": read - start, "prepare": time.perf_counter() - read})
+
+
+def describe_prepared(prepared: Prepared) -> Head:
+    """Return what the front needs to know of a prepared cloud."""
+    return Head(len(prepared.job.patches), prepared.seconds)
+
+
+def cut_patches(prepared: Prepared, start: int, stop: int) -> Cut:
+    """Return some patches, so that only they travel to the worker that runs them."""
+    return Cut(prepared.job.patches[start:stop], prepared.job.candidates)
+
+
+def predict(part: Cut, model: str) -> Charted:
+    """Run patches through the network."""
+    start = time.perf_counter()
+    network = load_model(model)
+    charts = [pipeline.predict(network, patch, part.candidates) for patch in part.patches]
+    return Charted(charts, time.perf_counter() - start)
+
+
+def merge(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
+    """Decide where the points of the answer go; ``batches`` are in the order of the patches."""
+    start = time.perf_counter()
+    landings = pipeline.merge(prepared.job, [chart for b in batches for chart in b.charts])
+    sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
+    return Merged(landings, time.perf_counter() - start, sizes)
+
+
+def describe_merged(merged: Merged) -> tuple[int, float, list[tuple[float, int]]]:
+    """Return the number of landings, the seconds of merging, and each batch's own."""
+    return len(merged.landings), merged.seconds, merged.batches
+
+
+def cut_landings(merged: Merged, start: int, stop: int) -> list[Any]:
+    """Return some landings, so that only they travel to the worker that runs them."""
+    return list(merged.landings[start:stop])
+
+
+def land(landings: Sequence[Any], model: str) -> list[Any]:
+    """Put points on the surface through the network's heads."""
+    network = load_model(model)
+    return [pipeline.land(network, landing) for landing in landings]
+
+
+def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:
+    """Finish the dense cloud and write it in the format ``answer``."""
+    start = time.perf_counter()
+    result = pipeline.finish(prepared.job, [landed for batch in batches for landed in batch])
+    finished = time.perf_counter()
+    buffer = io.BytesIO()
+    formats.write(result.cloud, buffer, format=answer)
+    seconds = {"finish": finished - start, "write": time.perf_counter() - finished}
+    data = np.frombuffer(buffer.getbuffer(), np.uint8)
+    return Written(data, result.report, seconds)
+
+
+def describe_written(written: Written) -> Sheet:
+    """Return what the front needs to know of an answer, and the first chunk of it."""
+    chunks = -(-len(written.data) // _CHUNK_BYTES)
+    return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
+
+
+def chunk(written: Written, index: int) -> bytes:
+    """Return a part of the answer small enough for the front's memory."""
+    return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()
+
+
+def _check_output(cloud: Cloud, options: pipeline.Options, limit: int) -> None:
+    # Before the work and not after it: preparing five million points takes a while.
+    wanted = options.n_points or round(options.ratio * len(cloud))
+    if wanted > limit:
+        raise LimitExceeded(
+            f"The answer would have {wanted:,} points; the limit is {limit:,}. Lower R.",
+            code="too_many_output_points",
+            name="max_output_points",
+            limit=limit,
+            value=wanted,
+        )

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs: one event a line, JSON for machines and colours for a terminal."""
+
+import logging
+import sys
+from typing import Any
+
+import structlog
+
+__all__ = ["configure"]
+
+
+def configure(log_format: str, level: str) -> None:
+    """Send structlog's and the standard library's logs to stderr in one form.
+
+    Args:
+        log_format: ``json``, ``console``, or ``auto``: console where stderr is a terminal.
+        level: ``debug``, ``info``, ``warning`` or ``error``.
+    """
+    if log_format == "auto":
+        log_format = "console" if sys.stderr.isatty() else "json"
+    shared: list[Any] = [
+        structlog.contextvars.merge_contextvars,
+        structlog.stdlib.add_log_level,
+        structlog.stdlib.add_logger_name,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+        structlog.stdlib.ExtraAdder(),
+    ]
+    last: list[Any]
+    if log_format == "json":
+        last = [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer()]
+    else:
+        last = [structlog.dev.ConsoleRenderer()]
+    structlog.configure(
+        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+        cache_logger_on_first_use=True,
+    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=shared,
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *last],
+        )
+    )
+    root = logging.getLogger()
+    root.handlers = [handler]
+    root.setLevel(level.upper())
+    # Their own handlers would print every line twice, in a form of their own.
+    for name in ("uvicorn", "uvicorn.error", "uvicorn.access", "distributed"):
+        logger = logging.getLogger(name)
+        logger.handlers = []
+        logger.propagate = True

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every error leaves as ``application/problem+json`` (RFC 9457)."""
+
+import math
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+import orjson
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from pugeo_model.errors import (
+    BadOption,
+    CloudError,
+    LimitExceeded,
+    MalformedFile,
+    UnsupportedFormat,
+    UntreatableCloud,
+)
+
+__all__ = [
+    "MEDIA_TYPE",
+    "PROBLEM_SCHEMA",
+    "Problem",
+    "install",
+    "internal_error",
+    "problem_responses",
+]
+
+MEDIA_TYPE = "application/problem+json"
+
+_STATUS: dict[type[CloudError], int] = {
+    MalformedFile: 400,
+    LimitExceeded: 413,
+    UnsupportedFormat: 415,
+    UntreatableCloud: 422,
+    BadOption: 422,
+}
+_CODE = {
+    400: "bad_request",
+    404: "not_found",
+    405: "method_not_allowed",
+    413: "body_too_large",
+    422: "bad_option",
+}
+_RETRYABLE = frozenset({408, 429, 503, 504})
+
+PROBLEM_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "required": ["type", "title", "status", "detail", "code", "request_id", "retryable"],
+    "properties": {
+        "type": {"type": "string", "format": "uri"},
+        "title": {"type": "string"},
+        "status": {"type": "integer"},
+        "detail": {"type": "string"},
+        "instance": {"type": "string"},
+        "code": {"type": "string", "description": "stable slug for programs"},
+        "request_id": {"type": "string"},
+        "retryable": {"type": "boolean", "description": "the same request may succeed later"},
+    },
+    "additionalProperties": True,
+}
+
+
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI ``responses`` of a route that may answer with these problems."""
+    content = {MEDIA_TYPE: {"schema": PROBLEM_SCHEMA}}
+    return {
+        status: {"description": HTTPStatus(status).phrase, "content": content}
+        for status in statuses
+    }
+
+
+class Problem(Exception):
+    """An error with everything its answer needs.
+
+    Args:
+        status: HTTP status, 400 to 599.
+        code: stable slug for programs.
+        detail: what is wrong and what would be right, for a person.
+        retryable: whether the same request may succeed later; by default a matter of the status.
+        retry_after: seconds, for the ``Retry-After`` header.
+        headers: further headers of the answer.
+        fields: further members of the problem (limits, values).
+    """
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        *,
+        retryable: bool | None = None,
+        retry_after: float | None = None,
+        headers: Mapping[str, str] | None = None,
+        fields: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.retryable = status in _RETRYABLE if retryable is None else retryable
+        self.headers = dict(headers or {})
+        self.fields = dict(fields or {})
+        if retry_after is not None:
+            self.headers["Retry-After"] = str(max(1, math.ceil(retry_after)))
+
+    @classmethod
+    def from_cloud_error(cls, error: CloudError) -> "Problem":
+        """Give an error of the model its HTTP status."""
+        status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
+        return cls(status, error.code, error.message, fields=error.fields)
+
+    def response(self, scope: Mapping[str, Any]) -> Response:
+        """Build the answer for the request of an ASGI ``scope``."""
+        # RFC 9457: what a client sent may name a member; the standard ones stay ours.
+        members: dict[str, Any] = {
+            **self.fields,
+            "type": f"urn:pugeo:problem:{self.code}",
+            "title": HTTPStatus(self.status).phrase,
+            "status": self.status,
+            "detail": self.detail,
+            "instance": scope.get("path", ""),
+            "code": self.code,
+            "request_id": scope.get("state", {}).get("request_id", ""),
+            "retryable": self.retryable,
+        }
+        body = orjson.dumps(members, default=str, option=orjson.OPT_SERIALIZE_NUMPY)
+        return Response(body, self.status, headers=self.headers, media_type=MEDIA_TYPE)
+
+
+def internal_error(scope: Mapping[str, Any]) -> Response:
+    """Build the answer to a bug: it says nothing but where to look."""
+    detail = "An error of the service itself; its log has the cause under this request_id."
+    return Problem(500, "internal_error", detail, retryable=False).response(scope)
+
+
+def install(app: FastAPI) -> None:
+    """Make every error of the routes and of the framework a problem."""
+
+    @app.exception_handler(Problem)
+    async def on_problem(request: Request, error: Problem) -> Response:
+        return error.response(request.scope)
+
+    @app.exception_handler(CloudError)
+    async def on_cloud_error(request: Request, error: CloudError) -> Response:
+        return Problem.from_cloud_error(error).response(request.scope)
+
+    @app.exception_handler(RequestValidationError)
+    async def on_validation(request: Request, error: RequestValidationError) -> Response:
+        return _invalid(error).response(request.scope)
+
+    @app.exception_handler(HTTPException)
+    async def on_http(request: Request, error: HTTPException) -> Response:
+        code = _CODE.get(error.status_code, "http_error")
+        detail = error.detail
+        if error.status_code == 404:
+            detail = f"There is nothing at {request.url.path}; /openapi.json lists what there is."
+        elif error.status_code == 405:
+            detail = f"{request.method} is not a method of {request.url.path}."
+        problem = Problem(error.status_code, code, detail, headers=error.headers)
+        return problem.response(request.scope)
+
+
+def _invalid(error: RequestValidationError) -> Problem:
+    errors = [_entry(entry) for entry in error.errors()]
+    first = errors[0]
+    name, value = first.get("parameter"), first.get("value")
+    detail = f"{name}={value}: {first['message']}" if value is not None else first["message"]
+    return Problem(422, "bad_option", detail, fields={**first, "errors": errors})
+
+
+def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Say of one error which parameter, which value and which limit, as far as there are any."""
+    found: dict[str, Any] = {"message": entry["msg"].removeprefix("Value error, ")}
+    path = entry["loc"][1:]
+    if path:
+        found["parameter"] = ".".join(str(part) for part in path)
+        found["value"] = str(entry.get("input"))[:80]
+    context = entry.get("ctx", {})
+    found.update({key: context[key] for key in ("parameter", "allowed") if key in context})
+    limits = [context[key] for key in ("ge", "gt", "le", "lt") if key in context]
+    return {**found, "limit": limits[0]} if limits else found

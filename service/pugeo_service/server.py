@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""uvicorn, made to drain: on SIGTERM it stops taking work, finishes what it took, and exits 0."""
+
+import asyncio
+import contextlib
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any
+
+import structlog
+import uvicorn
+from pydantic import ValidationError
+
+from pugeo_model.errors import CloudError
+from pugeo_service import logs
+from pugeo_service.admission import Admission
+from pugeo_service.app import create_app
+from pugeo_service.settings import Settings
+
+__all__ = ["main", "serve"]
+
+_log = structlog.stdlib.get_logger("pugeo.service")
+_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+class _Server(uvicorn.Server):
+    def __init__(self, config: uvicorn.Config, admission: Admission, delay_s: float) -> None:
+        super().__init__(config)
+        self._admission = admission
+        self._delay_s = delay_s
+        self.failed = False
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        # uvicorn raises the signal again after a clean shutdown, and the process would seem
+        # killed (status 143) although it finished everything that it had accepted.
+        before = {number: signal.signal(number, self.handle_exit) for number in _SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def handle_exit(self, sig: int, _frame: FrameType | None) -> None:
+        if self._admission.draining:
+            self.should_exit = True
+            self.force_exit = sig == signal.SIGINT
+            return
+        self._admission.draining = True
+        loop = asyncio.get_event_loop()
+        # Load balancers need a moment to see "draining" before connections are refused.
+        loop.call_soon_threadsafe(loop.call_later, self._delay_s, self._exit)
+
+    def fail(self) -> None:
+        self.failed = True
+        self._exit()
+
+    def _exit(self) -> None:
+        self.should_exit = True
+
+
+def main(given: dict[str, Any]) -> int:
+    """Serve with these settings over those of the environment; return the exit status.
+
+    Returns:
+        0 after a clean end, 1 where the service could not start, 2 for a wrong setting.
+    """
+    try:
+        settings = Settings(**given)
+    except ValidationError as error:
+        for entry in error.errors():
+            name = ".".join(map(str, entry["loc"])) or "settings"
+            sys.stderr.write(f"{name}: {entry['msg']}\n")
+        return 2
+    return serve(settings)
+
+
+def serve(settings: Settings) -> int:
+    """Serve until a signal ends it; return the exit status of the process.
+
+    The address is printed on stdout, so that whoever asked for port 0 learns which one it is.
+    """
+    logs.configure(settings.log_format, settings.log_level)
+    server: _Server | None = None
+
+    def on_fatal() -> None:
+        if server is not None:
+            server.fail()
+
+    try:
+        app = create_app(settings, on_fatal)
+    except CloudError as error:
+        sys.stderr.write(f"model: {error.message}\n")
+        return 2
+    config = uvicorn.Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=settings.drain_s,
+    )
+    try:
+        listener = _listen(settings.host, settings.port)
+    except OSError as error:
+        _log.error("cannot listen", host=settings.host, port=settings.port, reason=str(error))
+        return 1
+    server = _Server(config, app.state.service.admission, settings.drain_delay_s)
+    port = listener.getsockname()[1]
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    sys.stdout.write(f"pugeo serves http://{host}:{port}\n")
+    sys.stdout.flush()
+    server.run(sockets=[listener])
+    return 1 if server.failed else 0
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+    )[0]
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except OSError:
+        listener.close()
+        raise
+    return listener

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes on their way in or out: small ones in memory, large ones in an unnamed file."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from pathlib import Path
+from tempfile import SpooledTemporaryFile
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Spool"]
+
+_IN_MEMORY = 1 << 20
+
+
+class Spool:
+    """A write-once, read-many buffer that keeps at most 1 MiB in memory.
+
+    The file has no name, so it vanishes with the process whatever happens. Once the bytes are
+    on disk, every access runs in a thread: a slow disk must not stop the event loop.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+        self._pending = bytearray()
+        self.size = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    async def write(self, data: bytes | memoryview) -> None:
+        """Append bytes."""
+        self.size += len(data)
+        self._pending += data
+        # One thread hop for each MiB and not for each 64 KiB that the network delivers.
+        if len(self._pending) >= _IN_MEMORY:
+            await self._flush()
+
+    async def read(self) -> NDArray[np.uint8]:
+        """Return all bytes, uint8 ``(size,)``, as one buffer in memory."""
+        await self._flush()
+        return await asyncio.to_thread(self._read_all)
+
+    async def chunks(self, size: int = _IN_MEMORY) -> AsyncIterator[bytes]:
+        """Yield all bytes in order, ``size`` at a time."""
+        await self._flush()
+        await asyncio.to_thread(self._file.seek, 0)
+        while data := await asyncio.to_thread(self._file.read, size):
+            yield data
+
+    def close(self) -> None:
+        """Give the memory and the disk back."""
+        self._pending = bytearray()
+        self._file.close()
+
+    async def _flush(self) -> None:
+        if self._pending:
+            data, self._pending = self._pending, bytearray()
+            await asyncio.to_thread(self._file.write, data)
+
+    def _read_all(self) -> NDArray[np.uint8]:
+        self._file.seek(0)
+        return np.frombuffer(self._file.read(), np.uint8)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the routes share."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, cast
+
+from fastapi import Depends, Request
+
+from pugeo_service.admission import Admission
+from pugeo_service.engine import Engine
+from pugeo_service.settings import Settings
+from pugeo_service.telemetry import Telemetry
+
+__all__ = ["Service", "ServiceDep"]
+
+
+@dataclass(frozen=True)
+class Service:
+    """One running service.
+
+    Attributes:
+        settings: as started.
+        engine: runs orders.
+        admission: the queue.
+        telemetry: metrics.
+        card: the model's card.
+    """
+
+    settings: Settings
+    engine: Engine
+    admission: Admission
+    telemetry: Telemetry
+    card: dict[str, Any]
+
+    @property
+    def not_ready_because(self) -> Literal["draining", "no_worker", "queue_full"] | None:
+        """Why a request would not be served now, or ``None``."""
+        if self.admission.draining:
+            return "draining"
+        if self.engine.status.workers == 0:
+            return "no_worker"
+        return None if self.admission.has_room else "queue_full"
+
+
+def _service(request: Request) -> Service:
+    return cast(Service, request.app.state.service)
+
+
+ServiceDep = Annotated[Service, Depends(_service)]

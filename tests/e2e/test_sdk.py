@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The SDK against a real service with real workers."""
+
+import asyncio
+import inspect
+import io
+import json
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pugeo_client import AsyncClient, Client, Result
+from pugeo_client.errors import BadRequest, NotFound, Unprocessable, UnsupportedFormat
+
+EXAMPLE = "examples/block.ply"
+
+
+class Server(Protocol):
+    """What the fixture `server` gives."""
+
+    url: str
+
+
+Ask = Callable[[Callable[[Any], Any]], Any]
+
+
+@pytest.fixture(params=["sync", "async"])
+def ask(request: pytest.FixtureRequest, server: Server) -> Ask:
+    """Make a call with either client and wait for its end."""
+
+    def wait(call: Callable[[Any], Any]) -> Any:
+        with Client(server.url) as client:
+            outcome = call(client)
+            return list(outcome) if isinstance(outcome, Iterator) else outcome
+
+    async def collect(call: Callable[[Any], Any]) -> Any:
+        async with AsyncClient(server.url) as client:
+            outcome = call(client)
+            if isinstance(outcome, AsyncIterator):
+                return [result async for result in outcome]
+            assert inspect.isawaitable(outcome)
+            return await outcome
+
+    if request.param == "sync":
+        return wait
+    return lambda call: asyncio.run(collect(call))
+
+
+def check(dense: Result, count: int) -> None:
+    """A dense cloud has exactly so many finite points, and as many unit normals."""
+    assert dense.points.shape == (count, 3)
+    assert np.isfinite(dense.points).all()
+    assert dense.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(dense.normals, axis=1), 1, atol=1e-4)
+
+
+def test_a_file_becomes_a_denser_file(ask: Ask, root: Path, tmp_path: Path) -> None:
+    """The example comes back four times as dense, coloured, and with the story of its making."""
+    out = tmp_path / "dense.ply"
+    stages: list[str] = []
+    dense = ask(
+        lambda client: client.upsample(
+            root / EXAMPLE, 4, out=out, on_progress=lambda stage, *_: stages.append(stage)
+        )
+    )
+    check(dense, 10_000)
+    assert dense.colors.shape == (10_000, 3)
+    assert out.read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
+    meta = dense.meta
+    assert (meta.points_in, meta.points_out) == (2500, 10_000)
+    assert meta.dropped == {"non_finite": 0, "duplicate": 0}
+    assert len(meta.model_sha256) == 64
+    assert meta.request_id
+    assert sum(meta.timings.values()) > 0
+    assert {"send", "receive"} == set(stages)
+
+
+def test_arrays_keep_their_precision(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """A georeferenced array comes back in double precision, around where it was."""
+    offset = np.array([500_000.0, 4_649_776.0, 120.0])
+    dense = ask(lambda client: client.upsample(sphere.astype(np.float64) + offset, 2))
+    check(dense, 1200)
+    assert dense.points.dtype == np.float64
+    radius = np.linalg.norm(dense.points - offset, axis=1)
+    assert abs(radius - 1).max() < 0.1
+    assert len(np.unique(dense.points[:, 1])) > 1000
+
+
+def test_everything_that_rides_along(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """Colours, a continuous scalar and a label come back for each new point."""
+    cloud = {
+        "points": sphere,
+        "normals": sphere,
+        "colors": np.full((600, 3), 77, dtype=np.uint8),
+        "scalars": {
+            "intensity": sphere[:, 2].copy(),
+            "label": (sphere[:, 2] > 0).astype(np.int32),
+        },
+    }
+    dense = ask(lambda client: client.upsample(cloud, 3, orient="input"))
+    check(dense, 1800)
+    assert (dense.colors == 77).all()
+    assert abs(dense.scalars["intensity"] - dense.points[:, 2]).max() < 0.2
+    assert set(np.unique(dense.scalars["label"])) == {0, 1}
+    assert (np.sum(dense.normals * dense.points, axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("extension", ["npz", "json", "xyz"])
+def test_every_format_of_an_answer(
+    ask: Ask, sphere: NDArray[np.float32], tmp_path: Path, extension: str
+) -> None:
+    """The file has the format of its extension, and as many points as in any other."""
+    out = tmp_path / f"dense.{extension}"
+    dense = ask(lambda client: client.upsample(sphere, n_points=900, out=out))
+    assert dense.meta.points_out == 900
+    if extension == "npz":
+        check(dense, 900)
+    elif extension == "json":
+        assert np.shape(json.loads(out.read_bytes())["points"]) == (900, 3)
+    else:
+        assert np.loadtxt(out).shape == (900, 6)
+
+
+def test_the_same_seed_is_the_same_cloud(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """Equal calls give equal bytes, another seed gives others."""
+
+    def cloud(seed: int) -> bytes:
+        data: bytes = ask(lambda client: client.upsample(sphere, 2, seed=seed)).data
+        return data
+
+    first, again, other = cloud(1), cloud(1), cloud(2)
+    assert first == again
+    assert first != other
+
+
+def test_normals_face_the_viewpoint(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """From inside, all normals of a sphere face inwards."""
+    dense = ask(lambda client: client.upsample(sphere, 2, orient="viewpoint", viewpoint=(0, 0, 0)))
+    assert (np.sum(dense.normals * dense.points, axis=1) < 0).all()
+
+
+def test_many_clouds(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """`map` gives every result, in order."""
+    sizes = [200, 600, 300, 400, 500]
+    clouds = [np.ascontiguousarray(sphere[:: 600 // size][:size]) for size in sizes]
+    results = ask(lambda client: client.map(clouds, 2, concurrency=3))
+    assert [len(result) for result in results] == [2 * len(cloud) for cloud in clouds]
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "error", "words"),
+    [
+        (b"ply\nformat binary_little_endian 1.0\nelement vert", {}, BadRequest, "header"),
+        (b"%PDF-1.7", {}, UnsupportedFormat, "format"),
+        (np.zeros((1, 3)), {}, Unprocessable, "point"),
+        (np.eye(3).repeat(20, axis=0), {}, Unprocessable, "point"),
+        (io.BytesIO(b"0 0 0\n1 0 0\n0 1 0\n"), {"ratio": 99}, Unprocessable, "R"),
+        (b"0 0 0\n", {"orient": "sideways"}, Unprocessable, "orient"),
+    ],
+)
+def test_refusals_are_typed(
+    ask: Ask, source: Any, options: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    """What the service refuses arrives as the right exception, with a reason and an id."""
+    with pytest.raises(error, match=words) as caught:
+        ask(lambda client: client.upsample(source, **options))
+    assert getattr(caught.value, "request_id", None)
+    assert getattr(caught.value, "retryable", None) is False
+
+
+def test_health_and_models(ask: Ask) -> None:
+    """A service that answers says that it is ready, and what it runs."""
+    assert ask(lambda client: client.health())["status"] == "ready"
+    (card,) = ask(lambda client: client.models())
+    assert card["name"] == "standard"
+    assert len(card["sha256"]) == 64
+
+
+def test_a_wrong_address(server: Server) -> None:
+    """A base URL with a path that is not there is told apart from a dead service."""
+    with Client(server.url + "/elsewhere") as client, pytest.raises(NotFound):
+        client.models()

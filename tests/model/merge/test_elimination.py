@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from pugeo_model.merge.elimination import eliminate, reach_of_share
+from pugeo_model.metrics.clouds import evenness
+from scipy.spatial import cKDTree
+
+
+def setup(count=5000, keep=1000):
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.random((count, 2)), np.zeros((count, 1))], axis=1)
+    reach = np.full(count, reach_of_share(np.array(1.0 / keep)))
+    distance, rows = cKDTree(points).query(points, 28, distance_upper_bound=reach[0])
+    rows = np.where(np.isfinite(distance), rows, -1)
+    rows[rows == np.arange(count)[:, None]] = -1
+    return points, rows.astype(np.int32), reach
+
+
+@pytest.mark.parametrize("keep", [0, 1, 999, 5000])
+def test_exactly_as_many_as_asked(keep):
+    """The number of survivors is exact, from none to all."""
+    points, rows, reach = setup()
+    kept = eliminate(points, rows, reach, keep)
+    assert len(kept) == keep == len(set(kept))
+
+
+def test_survivors_are_even():
+    """A random cloud becomes a Poisson-disk sample (random: 0.52, Poisson disk: about 0.08)."""
+    points, rows, reach = setup()
+    assert evenness(points) > 0.5
+    assert evenness(points[eliminate(points, rows, reach, 1000)]) < 0.1
+
+
+def test_handicapped_go_first():
+    """Candidates that are not trusted survive less often than their equals."""
+    points, rows, reach = setup()
+    handicap = np.where(np.arange(5000) % 2, 3.0, 1.0)
+    kept = eliminate(points, rows, reach, 1000, handicap)
+    assert (kept % 2 == 1).mean() < 0.2
+
+
+def test_impossible_count_is_refused():
+    """More survivors than candidates is an error, not a short answer."""
+    points, rows, reach = setup()
+    with pytest.raises(ValueError, match="keep must lie in"):
+        eliminate(points, rows, reach, 5001)

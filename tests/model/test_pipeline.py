@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+import torch
+from pugeo_model import BadOption, Cloud, UntreatableCloud
+from pugeo_model.metrics.clouds import evenness
+from pugeo_model.pipeline import (
+    Options,
+    Upsampler,
+    finish,
+    land,
+    merge,
+    predict,
+    prepare,
+)
+
+
+@pytest.fixture(scope="module")
+def upsampler():
+    """The released model."""
+    torch.set_num_threads(1)
+    return Upsampler()
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4, 7.3, 16, 32])
+def test_exact_counts_on_a_sphere(upsampler, sphere, ratio):
+    """Any real ratio gives exactly round(R M) points, on the sphere, with its normals."""
+    points = sphere[:: max(1, int(ratio) // 8)]
+    dense = upsampler(points, ratio).cloud
+    assert len(dense) == int(np.floor(ratio * len(points) + 0.5))
+    radius = np.linalg.norm(dense.points, axis=1)
+    unit = dense.points / radius[:, None]
+    np.testing.assert_allclose(np.linalg.norm(dense.normals, axis=1), 1, atol=1e-5)
+    if len(points) == len(sphere):
+        assert np.abs(radius - 1).mean() < 2e-3
+        assert np.degrees(np.arccos((dense.normals * unit).sum(1).clip(-1, 1))).mean() < 5
+
+
+def test_even_spacing(upsampler, sphere):
+    """The dense points are spread about as evenly as a Poisson-disk sample."""
+    assert evenness(upsampler(sphere, 4).cloud.points) < 0.13
+
+
+def test_plane_stays_flat(upsampler, plane):
+    """Points of a plane stay in it, with its normal."""
+    points, normal = plane
+    dense = upsampler(points, 4).cloud
+    assert np.abs(dense.points @ normal).mean() < 1e-3
+    assert np.abs(dense.normals @ normal).mean() > 0.995
+
+
+def test_cube_keeps_its_faces(upsampler, cube):
+    """Dense points of a cube lie on its faces, not across its edges."""
+    dense = upsampler(cube[0], 4).cloud.points
+    off = np.abs(np.abs(dense - 0.5).max(axis=1) - 0.5)
+    assert off.mean() < 3e-3
+
+
+def test_ratio_one_returns_the_input_with_normals(upsampler, sphere):
+    """At R=1 the points are the input's own, bit for bit and in order."""
+    points = sphere.astype(np.float32)
+    dense = upsampler(points, 1).cloud
+    np.testing.assert_array_equal(dense.points, points)
+    assert (dense.normals * dense.points).sum(axis=1).mean() > 0.99
+
+
+def test_n_points_instead_of_ratio(upsampler, sphere):
+    """A number of points is met exactly; outside 1 to 32 times the input it is refused."""
+    assert len(upsampler(sphere, n_points=5001).cloud) == 5001
+    for wanted in (10, 100_000):
+        with pytest.raises(BadOption, match="n_points"):
+            upsampler(sphere, n_points=wanted)
+
+
+def test_order_of_work_does_not_matter(upsampler, sphere):
+    """Patches predicted and landed in any order, by anyone, give the same bytes."""
+    points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
+    job = prepare(Cloud(points), Options(4.0))
+    assert len(job.patches) > 2
+    forward = [predict(upsampler.model, p, job.candidates) for p in job.patches]
+    backward = [predict(upsampler.model, p, job.candidates) for p in job.patches[::-1]]
+    one = finish(job, [land(upsampler.model, part) for part in merge(job, forward)])
+    two = finish(job, [land(upsampler.model, part) for part in merge(job, backward)])
+    assert one.cloud.points.tobytes() == two.cloud.points.tobytes()
+    assert one.cloud.normals.tobytes() == two.cloud.normals.tobytes()
+
+
+def test_seed_decides(upsampler, sphere):
+    """The same seed gives the same bytes, another seed another sample as good."""
+    same = [upsampler(sphere, 4, seed=7).cloud.points.tobytes() for _ in range(2)]
+    other = upsampler(sphere, 4, seed=8).cloud.points
+    assert same[0] == same[1] != other.tobytes()
+    assert evenness(other) < 0.13
+
+
+def test_large_offset_in_double(upsampler, sphere):
+    """A scan far from the origin is upsampled as well as one at it."""
+    far = np.array([4.3e5, 5.4e6, 600.0])
+    here = upsampler(sphere, 2).cloud.points
+    there = upsampler(sphere + far, 2).cloud.points - far
+    assert np.abs(np.linalg.norm(there, axis=1) - 1).mean() < 2e-3
+    assert np.abs(np.linalg.norm(here, axis=1) - 1).mean() < 2e-3
+
+
+def test_attributes_ride_along(upsampler, sphere):
+    """Colours and scalars are interpolated, labels taken from the nearest point."""
+    level = ((sphere[:, 2] + 1) * 127).astype(np.uint8)
+    cloud = Cloud(
+        sphere,
+        colors=np.stack([level, 255 - level, level], axis=1),
+        scalars={"height": sphere[:, 2].copy(), "side": (sphere[:, 2] > 0).astype(np.int32)},
+    )
+    dense = upsampler(cloud, 3).cloud
+    assert dense.colors.dtype == np.uint8
+    assert np.abs(dense.scalars["height"] - dense.points[:, 2]).mean() < 0.02
+    assert set(np.unique(dense.scalars["side"])) == {0, 1}
+
+
+def test_dropped_points_are_counted(upsampler, sphere):
+    """NaN rows and duplicates go, the report says how many, and the count follows what is left."""
+    dirty = np.concatenate([sphere, sphere[:5], np.full((3, 3), np.nan)])
+    result = upsampler(dirty, 2)
+    assert result.report["dropped"] == {"non_finite": 3, "duplicate": 5}
+    assert len(result.cloud) == 2 * len(sphere)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((1000, 3)),
+        np.eye(3),
+        np.linspace(0, 1, 50)[:, None] * [1.0, 1.0, 0.0],
+        np.full((20, 3), np.inf),
+        np.zeros((0, 3)),
+    ],
+    ids=["identical", "three", "line", "infinite", "none"],
+)
+def test_untreatable_clouds(upsampler, points):
+    """What spans no surface is refused with a reason."""
+    with pytest.raises(UntreatableCloud):
+        upsampler(points, 4)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ratio": 0},
+        {"ratio": 1e9},
+        {"ratio": float("nan")},
+        {"orient": "sideways"},
+        {"orient": "viewpoint"},
+        {"viewpoint": (0.0, float("inf"), 0.0)},
+        {"seed": -1},
+        {"n_points": 0},
+    ],
+)
+def test_bad_options(options):
+    """Each option out of range is refused by name."""
+    with pytest.raises(BadOption) as caught:
+        Options(**options)
+    assert caught.value.fields["parameter"] in {*options, "viewpoint"}
+
+
+@pytest.mark.parametrize("count", [8, 9, 20, 33, 40])
+def test_tiny_clouds(upsampler, count):
+    """From 8 points on every cloud is answered, with finite points and unit normals."""
+    points = np.random.default_rng(count).random((count, 3))
+    dense = upsampler(points, 4).cloud
+    assert len(dense) == 4 * count
+    assert np.isfinite(dense.points).all()
+    np.testing.assert_allclose(np.linalg.norm(dense.normals, axis=1), 1, atol=1e-4)
+
+
+def test_nearly_duplicate_points(upsampler, sphere):
+    """Points 1e-12 apart do not blow anything up."""
+    close = np.concatenate([sphere, sphere[:500] + 1e-12])
+    dense = upsampler(close, 4).cloud
+    assert np.isfinite(dense.points).all()
+    assert np.abs(np.linalg.norm(dense.points, axis=1) - 1).mean() < 0.02

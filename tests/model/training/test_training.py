@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+import torch
+
+igl = pytest.importorskip("igl", reason="training needs the train extra")
+
+from pugeo_model.network.pugeo import Architecture
+from pugeo_model.training import corpus
+from pugeo_model.training.augment import Mix
+from pugeo_model.training.batches import Batches
+from pugeo_model.training.corpus import load_shape, mesh_files
+from pugeo_model.training.losses import JointLoss
+from pugeo_model.training.run import load_shapes, run
+from pugeo_model.training.trainer import Recipe, Trainer, learning_rate
+
+SMALL = Architecture(features=32, options=(("width", 16), ("edge_width", 16)))
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory):
+    """A folder with a bumpy ball, made here."""
+    folder = tmp_path_factory.mktemp("meshes")
+    rows, columns = 24, 48
+    theta = np.linspace(0.05, np.pi - 0.05, rows)
+    phi = np.linspace(0, 2 * np.pi, columns, endpoint=False)
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    r = 1 + 0.1 * np.sin(3 * p) * np.sin(t) ** 3
+    points = np.stack([r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], -1)
+    lines = [f"OFF\n{rows * columns} {2 * (rows - 1) * columns} 0"]
+    lines += [" ".join(f"{x:.6f}" for x in point) for point in points.reshape(-1, 3)]
+    for i in range(rows - 1):
+        for j in range(columns):
+            a, b = i * columns + j, i * columns + (j + 1) % columns
+            lines += [f"3 {a} {a + columns} {b}", f"3 {b} {a + columns} {b + columns}"]
+    (folder / "ball.off").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shapes(meshes, tmp_path_factory):
+    """The ball with its samples, cached in a folder of the test's own."""
+    cache = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PUGEO_CACHE", str(cache))
+        yield load_shapes(meshes)
+        assert len(list(cache.glob("*.npz"))) == 1
+
+
+def test_samples_are_cached_by_content(shapes, meshes, tmp_path, monkeypatch):
+    """A second load samples nothing; another mesh of the same name is sampled anew."""
+    cache = tmp_path / "cache"
+    first = load_shape(mesh_files(meshes)[0], cache)
+    monkeypatch.setattr(corpus, "poisson_disk", lambda *_: pytest.fail("sampled again"))
+    again = load_shape(mesh_files(meshes)[0], cache)
+    np.testing.assert_array_equal(first.pool, again.pool)
+    assert [len(points) for points in again.inputs] == list(corpus.SIZES)
+    changed = tmp_path / "ball.off"
+    changed.write_text(mesh_files(meshes)[0].read_text().replace("0.9", "0.8"))
+    with pytest.raises(pytest.fail.Exception, match="sampled again"):
+        load_shape(changed, cache)
+
+
+def test_empty_folder_is_an_error(tmp_path):
+    """A folder without meshes says so."""
+    with pytest.raises(FileNotFoundError, match="no mesh"):
+        mesh_files(tmp_path)
+
+
+def test_batches_depend_on_seed_and_step_alone(shapes):
+    """Batch 5 is the same whoever asks for it and whatever was asked before."""
+    one, two = (Batches(shapes, Mix(), 3, 10) for _ in range(2))
+    one[0]
+    (count, first), (same, second) = one[5], two[5]
+    assert count == same
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.patch.points, b.patch.points)
+        np.testing.assert_array_equal(a.truths, b.truths)
+
+
+def test_truths_belong_to_the_core(shapes):
+    """Every ground-truth sample is owned by charts that are trained in this patch."""
+    _, samples = Batches(shapes, Mix(), 0, 10)[1]
+    for sample in samples:
+        assert len(sample.truths) > 100
+        assert sample.owners.max() < sample.patch.core
+
+
+def test_loss_falls(shapes, tmp_path):
+    """Forty steps on one shape lower the loss by a fifth or more."""
+    trainer = Trainer(shapes, Recipe(SMALL, steps=40, warmup=5, rate=4e-3), tmp_path)
+    batches = Batches(shapes, Mix(), 0, 40)
+    losses = []
+    for trainer.step in range(40):
+        losses.append(trainer._train(*batches[trainer.step % 4])["loss"])
+    assert np.mean(losses[-4:]) < 0.8 * np.mean(losses[:4])
+
+
+def test_loss_is_finite_and_has_gradients_everywhere(shapes):
+    """Every parameter takes part in the joint loss."""
+    from pugeo_model.network.pugeo import PUGeoNet
+
+    torch.manual_seed(0)
+    net = PUGeoNet(SMALL)
+    count, samples = Batches(shapes, Mix(), 0, 10)[2]
+    total, parts = JointLoss(shapes)(net, count, samples, np.random.default_rng(0))
+    total.backward()
+    assert all(np.isfinite(value) for value in parts.values())
+    silent = [n for n, p in net.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert silent == []
+
+
+def test_resumes_exactly(shapes, meshes, tmp_path):
+    """Six steps in a row and three plus three give the same weights, bit for bit."""
+
+    def train(folder, *lengths):
+        for steps in lengths:
+            recipe = Recipe(SMALL, steps=steps, warmup=2, cooldown=0.0)
+            run(shapes, [], meshes, recipe, folder, "small", 3, lambda *_: None)
+        return (folder / "small.safetensors").read_bytes()
+
+    assert train(tmp_path / "once", 6) == train(tmp_path / "twice", 3, 6)
+    for name in ("log.csv", "curves.png", "small.json", "checkpoint.pt"):
+        assert (tmp_path / "once" / name).stat().st_size > 0
+
+
+def test_learning_rate_has_three_phases():
+    """Rise, plateau, fall to zero."""
+    recipe = Recipe(steps=1000, warmup=100, cooldown=0.2, rate=1.0)
+    assert learning_rate(recipe, 0) == pytest.approx(0.01)
+    assert learning_rate(recipe, 500) == 1.0
+    assert learning_rate(recipe, 900) == pytest.approx(0.5)
+    assert learning_rate(recipe, 999) == pytest.approx(0.005)
