@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The way of a cloud: clean, normalise, patches, network, merge, finish.
 
+    job        = prepare(cloud, options)
+    charts     = [predict(model, patch, job.candidates) for patch in job.patches]
+    candidates = [land(model, parcel) for parcel in propose(job, charts)]
+    points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
+    result     = finish(job, points)
+
 The stages are plain functions of plain data, so that the command line runs them in a row and the
 service spreads ``predict`` and ``land`` over its workers; nothing else differs between the two.
+Candidates land before the merge too: charts of their neighbours pull outliers in, and the merge
+then spreads points that are where they seem to be.
 """
 
 import itertools
@@ -23,22 +31,33 @@ from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
-from pugeo_model.merge.placement import Candidates, nearest_charts, place, shares
+from pugeo_model.merge.atlas import Atlas, Landed, Landing, PatchCharts, bind, parcels
+from pugeo_model.merge.placement import place, shares
 from pugeo_model.normalise import Placement, normalise
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pugeo_model.network.model import Landed, Landing, Model, PatchCharts
+    from pugeo_model.network.model import Model
 
-__all__ = ["Job", "Options", "Result", "Upsampler", "finish", "land", "merge", "predict", "prepare"]
+__all__ = [
+    "Job",
+    "Options",
+    "Result",
+    "Upsampler",
+    "finish",
+    "land",
+    "merge",
+    "predict",
+    "prepare",
+    "propose",
+]
 
 MOST = 32.0
 """Largest ratio."""
 
-_OVERSAMPLE = 2.0  # candidates a point wanted
+_OVERSAMPLE = 1.5  # candidates a point wanted
 _FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
-_BLENDED = 3  # charts that an output point lands on
 
 
 @dataclass(frozen=True)
@@ -178,68 +197,64 @@ def prepare(cloud: Cloud, options: Options) -> Job:
     )
 
 
-def predict(model: "Model", patch: Patch, candidates: int) -> "PatchCharts":
+def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
     """The network: charts of a patch and what they propose. Runs on workers."""
     return model.charts(patch, candidates)
 
 
-def merge(job: Job, charts: "Sequence[PatchCharts]") -> "list[Landing]":
-    """Decide where the output points go; gather what landing them takes, patch by patch."""
-    from pugeo_model.network.model import Landing
-
-    rows = np.concatenate([part.rows for part in charts])
-    back = np.argsort(rows)
-    t_all = np.concatenate([part.T for part in charts])[back]
-    code = np.concatenate([part.code for part in charts])[back]
-    lift = np.concatenate([part.lift for part in charts])[back]
+def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
+    """The candidates of all charts, in parcels with the charts they land on."""
     if job.n_out == len(job.points):
-        spots, owner = job.points, np.arange(len(job.points), dtype=np.int32)
-    else:
-        offsets = np.concatenate([part.candidates for part in charts])[back]
-        proposals = Candidates(
-            job.points[:, None] + offsets,
-            np.concatenate([part.normals for part in charts])[back],
-            np.concatenate([part.log_error for part in charts])[back],
-        )
-        share = shares(job.frames.spacing, job.neighbours)
-        spots, owner = place(proposals, job.n_out, share, job.neighbours, job.options.seed)
-    near = nearest_charts(spots, owner, job.points, job.neighbours, _BLENDED)
-    patch_of = np.empty(len(job.points), dtype=np.int32)
-    for number, patch in enumerate(job.patches):
-        patch_of[patch.rows[: patch.core]] = number
-    home = patch_of[owner]
-    order = np.argsort(home, kind="stable")
-    landings = []
-    for part in np.split(order, np.searchsorted(home[order], np.arange(1, len(job.patches)))):
-        used, local = np.unique(near[part], return_inverse=True)
-        landings.append(
-            Landing(
-                spots=spots[part],
-                charts=local.reshape(-1, _BLENDED).astype(np.int32),
-                points=job.points[used],
-                axes=job.frames.axes[used],
-                spacing=job.frames.spacing[used],
-                quadric=job.frames.quadric[used],
-                T=t_all[used],
-                code=code[used],
-                lift=lift[used],
-                nearest=near[part, 0],
-                fixed=job.n_out == len(job.points),
-            )
-        )
-    return landings
+        return []
+    atlas = bind(charts)
+    spots = (job.points[:, None] + atlas.candidates).reshape(-1, 3)
+    owner = np.repeat(np.arange(len(job.points), dtype=np.int32), job.candidates)
+    return _parcels(job, atlas, spots, owner)
 
 
-def land(model: "Model", landing: "Landing") -> "Landed":
+def land(model: "Model", landing: Landing) -> Landed:
     """The network's heads: put spots on their charts, give them normals. Runs on workers."""
     return model.land(landing)
 
 
-def finish(job: Job, landed: "Sequence[Landed]") -> Result:
+def merge(
+    job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]
+) -> list[Landing]:
+    """Decide where the output points go; parcels of them, with the charts they land on."""
+    atlas = bind(charts)
+    if job.n_out == len(job.points):
+        rows = np.arange(len(job.points), dtype=np.int32)
+        return _parcels(job, atlas, job.points, rows, fixed=True)
+    landed = Landed.join(candidates)
+    spots, owner = place(
+        landed.points,
+        landed.normals,
+        landed.nearest,
+        job.n_out,
+        shares(job.frames.spacing, job.neighbours),
+        job.neighbours,
+        job.options.seed,
+    )
+    return _parcels(job, atlas, spots, owner)
+
+
+def _parcels(
+    job: Job,
+    atlas: Atlas,
+    spots: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    *,
+    fixed: bool = False,
+) -> list[Landing]:
+    ends = np.cumsum([patch.core for patch in job.patches])[:-1]
+    return parcels(
+        atlas, spots, owner, job.points, job.neighbours, job.frames, ends, fixed=fixed
+    )
+
+
+def finish(job: Job, points: Sequence[Landed]) -> Result:
     """Orient normals, carry colours and scalars over, put offset and scale back."""
-    points = np.concatenate([part.points for part in landed])
-    normals = np.concatenate([part.normals for part in landed])
-    close = np.concatenate([part.nearest for part in landed])
+    landed = Landed.join(points)
     options, cloud = job.options, job.cloud
     viewpoint = options.viewpoint
     if viewpoint is not None:
@@ -254,11 +269,11 @@ def finish(job: Job, landed: "Sequence[Landed]") -> Result:
         job.neighbours,
     )
     colors, scalars = carry(
-        Cloud(job.points, colors=cloud.colors, scalars=cloud.scalars), points
+        Cloud(job.points, colors=cloud.colors, scalars=cloud.scalars), landed.points
     )
     dense = Cloud(
-        points=job.placement.world(points),
-        normals=propagate(normals, close, signs),
+        points=job.placement.world(landed.points),
+        normals=propagate(landed.normals, landed.nearest, signs),
         colors=colors,
         scalars=scalars,
         notes=cloud.notes,
@@ -305,20 +320,25 @@ class Upsampler:
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
         options = Options(ratio, n_points, orient, viewpoint, seed)
         tell = progress or (lambda _stage, _done, _total: None)
+        def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
+            done = []
+            for part in parts:
+                tell(stage, len(done), len(parts))
+                done.append(work(part))
+            return done
+
         tell("prepare", 0, 1)
         job = prepare(cloud, options)
-        total = len(job.patches)
-        charts = []
-        for done, patch in enumerate(job.patches):
-            tell("network", done, total)
-            charts.append(predict(self.model, patch, job.candidates))
+        charts = spread(
+            "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
+        )
+        tell("propose", 0, 1)
+        candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
         tell("merge", 0, 1)
-        landings = merge(job, charts)
-        landed = []
-        for done, landing in enumerate(landings):
-            tell("land", done, total)
-            landed.append(land(self.model, landing))
+        points = spread(
+            "land", merge(job, charts, candidates), lambda part: land(self.model, part)
+        )
         tell("finish", 0, 1)
-        result = finish(job, landed)
+        result = finish(job, points)
         tell("finish", 1, 1)
         return result

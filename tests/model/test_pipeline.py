@@ -12,6 +12,7 @@ from pugeo_model.pipeline import (
     merge,
     predict,
     prepare,
+    propose,
 )
 
 
@@ -77,10 +78,14 @@ def test_order_of_work_does_not_matter(upsampler, sphere):
     points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
     job = prepare(Cloud(points), Options(4.0))
     assert len(job.patches) > 2
-    forward = [predict(upsampler.model, p, job.candidates) for p in job.patches]
-    backward = [predict(upsampler.model, p, job.candidates) for p in job.patches[::-1]]
-    one = finish(job, [land(upsampler.model, part) for part in merge(job, forward)])
-    two = finish(job, [land(upsampler.model, part) for part in merge(job, backward)])
+    model = upsampler.model
+    results = []
+    for turn in (1, -1):
+        charts = [predict(model, patch, job.candidates) for patch in job.patches[::turn]]
+        landed = [land(model, part) for part in propose(job, charts)[::turn]][::turn]
+        parts = merge(job, charts, landed)
+        results.append(finish(job, [land(model, part) for part in parts[::turn]][::turn]))
+    one, two = results
     assert one.cloud.points.tobytes() == two.cloud.points.tobytes()
     assert one.cloud.normals.tobytes() == two.cloud.normals.tobytes()
 

@@ -2,8 +2,8 @@
 """The answer's format follows ``?format=``, then ``Accept``."""
 
 import pytest
-from pugeo_model.formats import FORMATS
 
+from pugeo_model.formats import FORMATS
 from pugeo_service.negotiation import DEFAULT, OFFERS, choose
 from pugeo_service.problems import Problem
 

@@ -4,9 +4,9 @@
 from typing import Any
 
 import pytest
-from pugeo_model.pipeline import Options
 from pydantic import ValidationError
 
+from pugeo_model.pipeline import Options
 from pugeo_service.options import UpsampleQuery
 
 

@@ -6,6 +6,8 @@ from typing import Any
 import orjson
 import pytest
 from fastapi import FastAPI
+from starlette.testclient import TestClient
+
 from pugeo_model.errors import (
     BadOption,
     CloudError,
@@ -14,8 +16,6 @@ from pugeo_model.errors import (
     UnsupportedFormat,
     UntreatableCloud,
 )
-from starlette.testclient import TestClient
-
 from pugeo_service import problems
 from pugeo_service.problems import MEDIA_TYPE, PROBLEM_SCHEMA, Problem
 

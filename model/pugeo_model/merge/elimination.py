@@ -25,7 +25,7 @@ def eliminate(
     neighbours: NDArray[np.int32],
     reach: NDArray[np.float64],
     keep: int,
-    handicap: NDArray[np.float64] | None = None,
+    burden: NDArray[np.float64] | None = None,
 ) -> NDArray[np.int64]:
     """Rows of the ``keep`` survivors, in ascending order.
 
@@ -34,15 +34,16 @@ def eliminate(
         neighbours: ``(C, k)`` int32 rows, ``-1`` where there is none; need not be mutual.
         reach: ``(C,)`` distance within which candidates crowd each other.
         keep: number of survivors, ``0 <= keep <= C``.
-        handicap: ``(C,)`` factor >= 1 on a candidate's weight: untrusted ones go first.
+        burden: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
+            would not do: an outlier has no neighbours, and its weight is next to nothing.
     """
     if not 0 <= keep <= len(points):
         raise ValueError(f"keep must lie in 0..{len(points)}, not {keep}")
-    factor = np.ones(len(points)) if handicap is None else handicap
+    extra = np.zeros(len(points)) if burden is None else burden
     # Weight limiting (section 3.2 there): without it the closest pairs decide alone, and the
     # survivors' spacing varies by 11 % instead of 8 %.
     floor = _LIMIT * (1.0 - (keep / max(len(points), 1)) ** _LIMIT_POWER)
-    alive = _run(points, neighbours, reach, factor, keep, floor)
+    alive = _run(points, neighbours, reach, extra, keep, floor)
     return np.flatnonzero(alive)
 
 
@@ -84,7 +85,7 @@ def _sift_down(heap, place, key, size, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _run(points, neighbours, reach, handicap, keep, floor):  # type: ignore[no-untyped-def]
+def _run(points, neighbours, reach, burden, keep, floor):  # type: ignore[no-untyped-def]
     count, k = neighbours.shape
     # Who lists me: a removal must lighten those, and lists are not always mutual.
     start = np.zeros(count + 1, dtype=np.int64)
@@ -96,15 +97,14 @@ def _run(points, neighbours, reach, handicap, keep, floor):  # type: ignore[no-u
         start[i + 1] += start[i]
     listed_by = np.empty(start[count], dtype=np.int32)
     fill = start[:-1].copy()
-    weight = np.zeros(count)
+    key = burden.copy()
     for i in range(count):
         for j in range(k):
             other = neighbours[i, j]
             if other >= 0:
                 listed_by[fill[other]] = i
                 fill[other] += 1
-                weight[i] += _weight(points, reach, floor, i, other)
-    key = weight * handicap
+                key[i] += _weight(points, reach, floor, i, other)
     heap = np.arange(count)
     place = np.arange(count)
     for at in range(count // 2 - 1, -1, -1):
@@ -122,7 +122,6 @@ def _run(points, neighbours, reach, handicap, keep, floor):  # type: ignore[no-u
         for at in range(start[top], start[top + 1]):
             other = listed_by[at]
             if alive[other]:
-                weight[other] -= _weight(points, reach, floor, other, top)
-                key[other] = weight[other] * handicap[other]
+                key[other] -= _weight(points, reach, floor, other, top)
                 _sift_down(heap, place, key, size, place[other])
     return alive

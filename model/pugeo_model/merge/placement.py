@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The merge: candidates of all charts to exactly the number wanted, and the charts of each."""
-
-from dataclasses import dataclass
+"""The merge: landed candidates to exactly the number wanted, and the charts nearest to each."""
 
 import numpy as np
 from numba import njit
@@ -11,30 +9,14 @@ from pugeo_model.merge.crowd import crowd
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 from pugeo_model.merge.repulsion import repel
 
-__all__ = ["Candidates", "place", "shares"]
+__all__ = ["nearest_charts", "place", "shares"]
 
 _AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
 _NEAR_CHARTS = 12  # charts searched around a sample
-_CROWD = 20  # longest neighbour list among candidates, twice as dense as the survivors
+_CROWD = 20  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
-_DOUBT = 12.0  # handicap of a candidate per spacing of expected error
-_SEED_SHARE = 0.02  # of the handicap that the seed draws
+_CHANCE = 1e-3  # largest burden that the seed draws
 _ROUNDS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """What all charts propose; cloud frame, unit scale.
-
-    Attributes:
-        points: ``(M, c, 3)`` float64.
-        normals: ``(M, c, 3)`` float32 unit.
-        log_error: ``(M, c)`` float32, in spacings.
-    """
-
-    points: NDArray[np.float64]
-    normals: NDArray[np.float32]
-    log_error: NDArray[np.float32]
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -50,38 +32,36 @@ def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArr
 
 
 def place(
-    candidates: Candidates,
+    candidates: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    owner: NDArray[np.int32],
     wanted: int,
     share: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Where the output points go, before they land on their charts.
+    """Where the output points go: eliminate, then let the survivors settle.
 
     Args:
-        candidates: of all ``M`` charts.
-        wanted: number of points.
+        candidates: ``(C, 3)`` float64, landed on the surface.
+        normals: ``(C, 3)`` float32 unit.
+        owner: ``(C,)`` int32 nearest chart of each.
+        wanted: number of points, at most ``C``.
         share: ``(M,)`` area of each chart, see :func:`shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
 
     Returns:
-        Spots ``(wanted, 3)`` float64 and the chart ``(wanted,)`` int32 that proposed each.
+        Spots ``(wanted, 3)`` float64 and the owner ``(wanted,)`` int32 of each.
     """
-    charts, count = candidates.log_error.shape
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
-    points = candidates.points.reshape(-1, 3)
-    owner = np.repeat(np.arange(charts, dtype=np.int32), count)
-    reach = reach_of_share(share * (charts / wanted))
-    doubt = np.exp(np.minimum(candidates.log_error.reshape(-1).astype(np.float64), 0.0))
-    chance = np.random.default_rng(seed).random(len(points))
-    handicap = 1.0 + _DOUBT * doubt + _SEED_SHARE * chance
-    lists = crowd(points, owner, near, reach[owner], _CROWD)
-    kept = eliminate(points, lists, reach[owner], wanted, handicap)
-    spots, owner = points[kept], owner[kept]
-    normals = candidates.normals.reshape(-1, 3)[kept]
+    reach = reach_of_share(share * (len(share) / wanted))
+    lists = crowd(candidates, owner, near, reach[owner], _CROWD)
+    burden = _CHANCE * np.random.default_rng(seed).random(len(candidates))
+    kept = eliminate(candidates, lists, reach[owner], wanted, burden)
+    spots, owner = candidates[kept], owner[kept]
     lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
-    return repel(spots, normals, lists, reach[owner], _ROUNDS), owner
+    return repel(spots, normals[kept], lists, reach[owner], _ROUNDS), owner
 
 
 def nearest_charts(

@@ -43,10 +43,10 @@ class Recipe:
     architecture: Architecture = field(default_factory=Architecture)
     mix: Mix = field(default_factory=Mix)
     weights: Weights = field(default_factory=Weights)
-    steps: int = 20_000
+    steps: int = 16_000
     rate: float = 2e-3
     warmup: int = 200
-    cooldown: float = 0.3
+    cooldown: float = 0.45
     decay: float = 1e-4
     clip: float = 1.0
     seed: int = 0

@@ -70,7 +70,7 @@ class DaskPool:
         settings = self._settings
         if settings.scheduler is None:
             security = _dask.Security.temporary()
-            self._cluster = await _dask.LocalCluster(
+            self._cluster = _dask.LocalCluster(
                 n_workers=settings.worker_count,
                 processes=True,
                 threads_per_worker=1,
@@ -82,6 +82,8 @@ class DaskPool:
                 local_directory=str(settings.spool_dir),
                 env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
             )
+            # Known before it runs, so that `stop` can end one that never came up.
+            await self._cluster
             address: Any = self._cluster
         else:
             security = _dask.Security(

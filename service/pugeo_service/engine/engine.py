@@ -50,8 +50,8 @@ class Engine:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._pool = _make_pool(settings)
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="engine", daemon=True)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
         # Suspects run one at a time: the guilty one then ends nobody else's task.
         self._quarantine = asyncio.Lock()
         self._long = asyncio.Semaphore(max(1, settings.worker_count - 1))
@@ -59,6 +59,8 @@ class Engine:
 
     async def start(self) -> None:
         """Start the workers; returns once a small request of our own went all the way."""
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="engine", daemon=True)
         self._thread.start()
         await self._call(self._pool.start())
         await self._call(self._prove())
@@ -66,12 +68,13 @@ class Engine:
 
     async def stop(self) -> None:
         """End the workers and the thread."""
-        if not self._thread.is_alive():
+        if self._loop is None or self._thread is None:
             return
         await self._call(self._pool.stop())
         self._loop.call_soon_threadsafe(self._loop.stop)
         await asyncio.to_thread(self._thread.join)
         self._loop.close()
+        self._loop = self._thread = None
 
     @property
     def status(self) -> Status:
@@ -126,6 +129,9 @@ class Engine:
                 return await attempt()
 
     async def _call(self, work: Coroutine[Any, Any, T]) -> T:
+        if self._loop is None:
+            work.close()
+            raise EngineLost("the engine is not running")
         return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
 
 

@@ -88,14 +88,24 @@ class Flow:
         )
         seconds["predict"] = time.perf_counter() - began
 
-        merged, (landings, seconds["merge"], batches) = await self._step(
-            size, "merge", "describe_merged", prepared, charted
+        proposed, (landings, proposing, batches) = await self._step(
+            size, "propose", "describe_merged", prepared, charted
         )
-        self._drop(charted)
+        began = time.perf_counter()
+        candidates = await self._spread(
+            landings, order.batch_patches, "cut_landings", "land", proposed
+        )
+        seconds["land"] = time.perf_counter() - began
+
+        merged, (landings, merging, _) = await self._step(
+            size, "merge", "describe_merged", prepared, charted, candidates
+        )
+        seconds["merge"] = proposing + merging
+        self._drop([proposed, *charted, *candidates])
 
         began = time.perf_counter()
         landed = await self._spread(landings, order.batch_patches, "cut_landings", "land", merged)
-        seconds["land"] = time.perf_counter() - began
+        seconds["land"] += time.perf_counter() - began
 
         sheet: Sheet
         written, sheet = await self._step(

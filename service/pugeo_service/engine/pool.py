@@ -12,6 +12,7 @@ Stage = Literal[
     "describe_prepared",
     "cut_patches",
     "predict",
+    "propose",
     "merge",
     "describe_merged",
     "cut_landings",

@@ -38,6 +38,7 @@ __all__ = [
     "merge",
     "predict",
     "prepare",
+    "propose",
 ]
 
 _CHUNK_BYTES = 8 << 20
@@ -69,7 +70,7 @@ class Charted:
 
 @dataclass(frozen=True)
 class Merged:
-    """Where the points of the answer go."""
+    """Where candidates, or the points of the answer, are to land."""
 
     landings: list[Any]
     seconds: float
@@ -125,12 +126,25 @@ def predict(part: Cut, model: str) -> Charted:
     return Charted(charts, time.perf_counter() - start)
 
 
-def merge(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
-    """Decide where the points of the answer go; ``batches`` are in the order of the patches."""
+def propose(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
+    """Gather the candidates of all charts; ``batches`` are in the order of the patches."""
     start = time.perf_counter()
-    landings = pipeline.merge(prepared.job, [chart for b in batches for chart in b.charts])
+    landings = pipeline.propose(prepared.job, [chart for b in batches for chart in b.charts])
     sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
     return Merged(landings, time.perf_counter() - start, sizes)
+
+
+def merge(
+    prepared: Prepared, batches: Sequence[Charted], candidates: Sequence[list[Any]]
+) -> Merged:
+    """Decide where the points of the answer go."""
+    start = time.perf_counter()
+    landings = pipeline.merge(
+        prepared.job,
+        [chart for b in batches for chart in b.charts],
+        [landed for batch in candidates for landed in batch],
+    )
+    return Merged(landings, time.perf_counter() - start, [])
 
 
 def describe_merged(merged: Merged) -> tuple[int, float, list[tuple[float, int]]]:

@@ -31,12 +31,23 @@ def test_survivors_are_even():
     assert evenness(points[eliminate(points, rows, reach, 1000)]) < 0.1
 
 
-def test_handicapped_go_first():
+def test_burdened_go_first():
     """Candidates that are not trusted survive less often than their equals."""
     points, rows, reach = setup()
-    handicap = np.where(np.arange(5000) % 2, 3.0, 1.0)
-    kept = eliminate(points, rows, reach, 1000, handicap)
+    burden = np.where(np.arange(5000) % 2, 0.5, 0.0)
+    kept = eliminate(points, rows, reach, 1000, burden)
     assert (kept % 2 == 1).mean() < 0.2
+
+
+def test_a_lonely_outlier_is_not_spared():
+    """A candidate without neighbours goes all the same where it is not trusted."""
+    points, rows, reach = setup()
+    points = np.append(points, [[0.5, 0.5, 3.0]], axis=0)
+    rows = np.append(rows, np.full((1, rows.shape[1]), -1, dtype=np.int32), axis=0)
+    reach = np.append(reach, reach[0])
+    burden = np.append(np.zeros(5000), 5.0)
+    assert 5000 in eliminate(points, rows, reach, 1000)
+    assert 5000 not in eliminate(points, rows, reach, 1000, burden)
 
 
 def test_impossible_count_is_refused():

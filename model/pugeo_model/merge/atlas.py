@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The atlas: charts of all patches side by side, and the parcels of spots to land on them.
+
+Plain arrays only, so that parcels travel between processes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model.geometry.frames import Frames
+from pugeo_model.merge.placement import nearest_charts
+
+__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels"]
+
+BLENDED = 3
+"""Charts that every spot lands on."""
+
+
+@dataclass(frozen=True, eq=False)
+class PatchCharts:
+    """Charts of a patch's core and what they propose.
+
+    Attributes:
+        rows: ``(n,)`` int32 rows in the cloud.
+        candidates: ``(n, c, 3)`` float32 offsets from the points, cloud frame, unit scale.
+        T: ``(n, 3, 3)`` float32, in canonical frames.
+        code: ``(n, width)`` float16, what the surface head needs of the feature.
+        lift: ``(n,)`` float32, in spacings.
+    """
+
+    rows: NDArray[np.int32]
+    candidates: NDArray[np.float32]
+    T: NDArray[np.float32]
+    code: NDArray[np.float16]
+    lift: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """Charts of the whole cloud, rows as the cloud's; fields as in :class:`PatchCharts`."""
+
+    candidates: NDArray[np.float32]
+    T: NDArray[np.float32]
+    code: NDArray[np.float16]
+    lift: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Landing:
+    """Spots to be landed, with the charts they need.
+
+    Attributes:
+        spots: ``(m, 3)`` float64, unit scale.
+        charts: ``(m, k)`` int32 rows of the arrays below, nearest first.
+        points: ``(n, 3)`` float64; the rest as in :class:`PatchCharts` and ``Frames``.
+        nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
+        fixed: the spots stay where they are and only get normals.
+    """
+
+    spots: NDArray[np.float64]
+    charts: NDArray[np.int32]
+    points: NDArray[np.float64]
+    axes: NDArray[np.float32]
+    spacing: NDArray[np.float32]
+    quadric: NDArray[np.float32]
+    T: NDArray[np.float32]
+    code: NDArray[np.float16]
+    lift: NDArray[np.float32]
+    nearest: NDArray[np.int32]
+    fixed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Landed:
+    """Points on the surface.
+
+    Attributes:
+        points: ``(m, 3)`` float64, unit scale.
+        normals: ``(m, 3)`` float32 unit, sign that of the nearest chart's frame.
+        log_error: ``(m,)`` float32, logarithm of the expected error in spacings.
+        nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float32]
+    log_error: NDArray[np.float32]
+    nearest: NDArray[np.int32]
+
+    @classmethod
+    def join(cls, parts: "Sequence[Landed]") -> "Landed":
+        """All parts as one, in their order."""
+        return cls(
+            np.concatenate([part.points for part in parts]),
+            np.concatenate([part.normals for part in parts]),
+            np.concatenate([part.log_error for part in parts]),
+            np.concatenate([part.nearest for part in parts]),
+        )
+
+
+def bind(charts: Sequence[PatchCharts]) -> Atlas:
+    """Put the charts of all patches into the rows of the cloud, whatever order they come in."""
+    back = np.argsort(np.concatenate([part.rows for part in charts]))
+    return Atlas(
+        np.concatenate([part.candidates for part in charts])[back],
+        np.concatenate([part.T for part in charts])[back],
+        np.concatenate([part.code for part in charts])[back],
+        np.concatenate([part.lift for part in charts])[back],
+    )
+
+
+def parcels(
+    atlas: Atlas,
+    spots: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    frames: Frames,
+    ends: NDArray[np.int64],
+    *,
+    fixed: bool = False,
+) -> list[Landing]:
+    """Spots with the charts nearest to each, one parcel a patch.
+
+    Args:
+        atlas: the charts.
+        spots: ``(K, 3)`` float64.
+        owner: ``(K,)`` int32 chart that each spot came from.
+        points: ``(M, 3)`` float64.
+        neighbours: ``(M, k)`` int32.
+        frames: of the ``M`` points.
+        ends: ``(patches - 1,)`` first rows of all patches but the first.
+        fixed: the spots stay where they are.
+    """
+    near = nearest_charts(spots, owner, points, neighbours, BLENDED)
+    home = np.searchsorted(ends, owner, side="right")
+    order = np.argsort(home, kind="stable")
+    found = []
+    for part in np.split(order, np.searchsorted(home[order], np.arange(1, len(ends) + 1))):
+        used, local = np.unique(near[part], return_inverse=True)
+        found.append(
+            Landing(
+                spots=spots[part],
+                charts=local.reshape(-1, BLENDED).astype(np.int32),
+                points=points[used],
+                axes=frames.axes[used],
+                spacing=frames.spacing[used],
+                quadric=frames.quadric[used],
+                T=atlas.T[used],
+                code=atlas.code[used],
+                lift=atlas.lift[used],
+                nearest=near[part, 0],
+                fixed=fixed,
+            )
+        )
+    return found

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real service: uvicorn in a process of its own, real workers, real weights."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+# Comes with Dask, without types.
+psutil: Any = importlib.import_module("psutil")
+
+_READY_S = 110.0
+
+
+@dataclass(frozen=True)
+class Server:
+    """A running service.
+
+    Attributes:
+        url: where it serves.
+        process: its front.
+        log: what it wrote to stderr.
+    """
+
+    url: str
+    process: "subprocess.Popen[str]"
+    log: Path
+
+    def workers(self) -> list[Any]:
+        """The worker processes that are alive now."""
+        children = psutil.Process(self.process.pid).children()
+        return [child for child in children if "spawn_main" in " ".join(_command(child))]
+
+    def wait_until_ready(self, seconds: float = _READY_S) -> None:
+        """Wait for a 200 of /health/ready."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if self.process.poll() is not None:
+                break
+            if httpx2.get(f"{self.url}/health/ready").status_code == 200:
+                return
+            time.sleep(0.1)
+        pytest.fail(f"not ready after {seconds:g} s:\n{self.log.read_text()[-4000:]}")
+
+    def metric(self, sample: str) -> float:
+        """The value of a sample of /metrics, 0 where it is not there yet."""
+        for line in httpx2.get(f"{self.url}/metrics").text.splitlines():
+            name, _, value = line.rpartition(" ")
+            if name == sample:
+                return float(value)
+        return 0.0
+
+    def stop(self, seconds: float = 60.0) -> int:
+        """Send SIGTERM and return the exit status."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(seconds)
+
+
+def _command(process: Any) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+@contextmanager
+def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
+    """Start a service, and end it however the block ends.
+
+    Args:
+        log: file for its stderr.
+        options: command line options.
+        environment: environment variables on top of the present ones.
+    """
+    command = [sys.executable, "-m", "pugeo_service", "--port", "0", *options]
+    with log.open("w") as stderr:
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            env={**os.environ, "PUGEO_WORKERS": "2", "PUGEO_LOG_FORMAT": "json", **environment},
+        )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("pugeo serves http://"), line + log.read_text()[-4000:]
+        yield Server(line.split()[-1], process, log)
+    finally:
+        process.terminate()
+        try:
+            process.wait(30)
+        finally:
+            process.kill()
+            process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
+    """Starts a service of one's own: ``with launch("--workers", "1") as server``."""
+    return partial(launched, tmp_path / "server.log")
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The service that most tests share; its limit of a body is 32 MiB."""
+    log = tmp_path_factory.mktemp("service") / "server.log"
+    with launched(log, "--max-body-bytes", str(32 << 20), "--max-points", "300000") as running:
+        running.wait_until_ready()
+        yield running
+        assert running.stop() == 0, log.read_text()[-4000:]

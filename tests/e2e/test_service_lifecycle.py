@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a service starts, fills up, drains and ends, near its workers or far from them."""
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pugeo_model import Cloud, formats
+
+pytestmark = pytest.mark.slow
+
+
+def ball(count: int) -> bytes:
+    """A sphere of so many points, as a PLY file."""
+    directions = np.random.default_rng(count).normal(size=(count, 3))
+    sphere = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    buffer = io.BytesIO()
+    formats.write(Cloud(sphere.astype(np.float32)), buffer, format="ply")
+    return buffer.getvalue()
+
+
+SMALL, LARGE = ball(3000), ball(60_000)
+
+
+class Post(threading.Thread):
+    """A request in the background."""
+
+    def __init__(self, url: str, body: bytes) -> None:
+        super().__init__()
+        self._url = url
+        self._body = body
+        self.response: httpx2.Response | None = None
+
+    def run(self) -> None:
+        """Send it and wait."""
+        self.response = httpx2.post(f"{self._url}/upsample?R=2", content=self._body, timeout=100)
+
+
+def begun(server: Any, body: bytes) -> Post:
+    """A request that was let in."""
+    post = Post(server.url, body)
+    post.start()
+    while server.metric("pugeo_queue_patches") == 0:
+        time.sleep(0.02)
+    return post
+
+
+def test_sigterm_drains(launch: Any) -> None:
+    """No new work, readiness gone, liveness kept; what was accepted is finished; status 0."""
+    with launch("--drain-s", "90", PUGEO_DRAIN_DELAY_S="3") as server:
+        server.wait_until_ready()
+        accepted = begun(server, LARGE)
+        server.process.send_signal(signal.SIGTERM)
+        time.sleep(1)
+        ready = httpx2.get(f"{server.url}/health/ready")
+        assert (ready.status_code, ready.json()["code"]) == (503, "draining")
+        assert httpx2.get(f"{server.url}/health/live").status_code == 200
+        refused = httpx2.post(f"{server.url}/upsample", content=SMALL)
+        assert (refused.status_code, refused.json()["code"]) == (503, "draining")
+        assert "retry-after" in refused.headers
+        assert server.process.wait(100) == 0
+        accepted.join()
+        assert accepted.response is not None
+        assert accepted.response.status_code == 200
+        assert accepted.response.headers["pugeo-points-out"] == "120000"
+
+
+def test_sigterm_while_starting(launch: Any) -> None:
+    """A service that is told to end before it was ready ends in good order."""
+    with launch() as server:
+        assert httpx2.get(f"{server.url}/health/live").status_code == 200
+        ready = httpx2.get(f"{server.url}/health/ready")
+        assert (ready.status_code, ready.json()["code"]) == (503, "no_worker")
+        assert httpx2.get(f"{server.url}/health").json()["status"] == "not_ready"
+        refused = httpx2.post(f"{server.url}/upsample", content=SMALL)
+        assert (refused.status_code, refused.json()["code"]) == (503, "no_worker")
+        time.sleep(1)
+        assert server.stop(40) == 0
+
+
+def test_full_and_late(launch: Any) -> None:
+    """Beyond the queue's capacity 503 with Retry-After; beyond the deadline 504; then goes on."""
+    with launch("--queue-requests", "1", "--deadline-s", "5") as server:
+        server.wait_until_ready()
+        late = begun(server, LARGE)
+        full = httpx2.post(f"{server.url}/upsample", content=SMALL)
+        assert (full.status_code, full.json()["code"]) == (503, "queue_full")
+        assert 1 <= int(full.headers["retry-after"]) <= 120
+        assert full.json()["retryable"] is True
+        late.join()
+        assert late.response is not None
+        assert late.response.status_code == 504
+        assert late.response.json()["code"] == "deadline_exceeded"
+        assert server.metric('pugeo_cancelled_total{reason="deadline"}') == 1
+        assert server.metric('pugeo_rejected_total{reason="queue_full"}') == 1
+        assert server.metric("pugeo_queue_patches") == 0
+        good = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+        assert good.status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (["--model", "nothing"], 2, "no weights 'nothing'"),
+        (["--workers", "-1"], 2, "workers"),
+        (["--engine", "magic"], 2, "engine"),
+        (["--scheduler", "tcp://somewhere:8786"], 2, "tls://"),
+        (["--spool-dir", "/nowhere"], 2, "not a folder"),
+    ],
+)
+def test_wrong_settings(options: list[str], status: int, words: str) -> None:
+    """A line on stderr says what is wrong, and the status that it is the caller's fault."""
+    command = [sys.executable, "-m", "pugeo_service", "--port", "0", *options]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == status, ended.stderr
+    assert words in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert ended.stdout == ""
+
+
+def test_a_port_that_is_taken() -> None:
+    """The service says so and ends."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        command = [sys.executable, "-m", "pugeo_service", "--port", port]
+        ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "cannot listen" in ended.stderr
+
+
+def test_weights_that_do_not_load(tmp_path: Path, launch: Any) -> None:
+    """A card without usable weights: no worker can start, so the service gives up with status 1."""
+    from pugeo_model import weights
+
+    released = Path(weights.__file__).with_name("released")
+    (tmp_path / "broken.json").write_bytes((released / "standard.json").read_bytes())
+    (tmp_path / "broken.safetensors").write_bytes(b"not weights at all")
+    with launch("--model", str(tmp_path / "broken.safetensors")) as server:
+        assert server.process.wait(100) == 1
+        assert "the engine cannot start" in server.log.read_text()
+
+
+def points(data: bytes) -> NDArray[Any]:
+    """The points of a PLY file."""
+    return formats.read(io.BytesIO(data), format="ply").points
+
+
+def test_inline(launch: Any, server: Any) -> None:
+    """Without workers, for a debugger, the same answers."""
+    with launch("--engine", "inline") as inline:
+        inline.wait_until_ready()
+        urls = [f"{one.url}/upsample?R=2" for one in (inline, server)]
+        answers = [httpx2.post(url, content=SMALL, timeout=60) for url in urls]
+        assert [answer.status_code for answer in answers] == [200, 200]
+        here, there = (points(answer.content) for answer in answers)
+        np.testing.assert_allclose(here, there, atol=1e-6)
+
+
+@contextmanager
+def far_cluster(folder: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """A Dask scheduler and a worker as somebody would run them elsewhere, over mutual TLS."""
+    from distributed import Security
+
+    security: Any = Security
+    temporary = security.temporary()
+    files = {}
+    for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
+        files[name] = folder / f"{name}.pem"
+        files[name].write_text(getattr(temporary, name))
+    tls = [
+        "--tls-ca-file", str(files["tls_ca_file"]),
+        "--tls-cert", str(files["tls_client_cert"]),
+        "--tls-key", str(files["tls_client_key"]),
+    ]  # fmt: skip
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    address = f"tls://127.0.0.1:{port}"
+    dask = [sys.executable, "-m", "dask"]
+    commands = [
+        [*dask, "scheduler", "--host", address, "--no-dashboard", "--dashboard-address", "127.0.0.1:0", *tls],
+        [
+            *dask, "worker", address, "--nthreads", "1", "--no-dashboard",
+            "--preload", "pugeo_service.engine.preload", "--local-directory", str(folder), *tls,
+        ],
+    ]  # fmt: skip
+    with (folder / "cluster.log").open("w") as log:
+        processes = [
+            subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))
+            for command in commands
+        ]
+        try:
+            yield (
+                address,
+                {
+                    "PUGEO_TLS_CA": str(files["tls_ca_file"]),
+                    "PUGEO_TLS_CERT": str(files["tls_client_cert"]),
+                    "PUGEO_TLS_KEY": str(files["tls_client_key"]),
+                },
+            )
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+                process.wait(30)
+
+
+def test_a_cluster_elsewhere(tmp_path: Path, launch: Any, server: Any) -> None:
+    """PUGEO_SCHEDULER: the same code, the same answers, and it stays up when the front goes."""
+    with far_cluster(tmp_path) as (address, credentials):
+        for _ in range(2):
+            with launch("--scheduler", address, **credentials) as front:
+                front.wait_until_ready()
+                health = httpx2.get(f"{front.url}/health").json()
+                assert (health["workers"], health["workers_expected"]) == (1, None)
+                answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
+                assert answer.status_code == 200, answer.text
+                assert front.stop() == 0
+        near = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+        np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine as a whole, with the real model."""
+
+import asyncio
+import dataclasses
+import io
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pugeo_model import Cloud, formats
+from pugeo_model.errors import MalformedFile
+from pugeo_service.engine import Engine, EngineLost, Order, Outcome, WorkerLost, dask_pool
+from pugeo_service.engine.sample import sample_body, sample_order
+from pugeo_service.settings import Settings
+from pugeo_service.spool import Spool
+
+pytestmark = pytest.mark.slow
+
+ORDER = sample_order("standard", deadline_s=60.0)
+
+
+class Progress:
+    """What the engine tells on the way."""
+
+    def __init__(self) -> None:
+        self.patches: list[int] = []
+        self.done: list[int] = []
+
+
+async def run(
+    engine: Engine, data: bytes, tmp_path: Path, order: Order = ORDER
+) -> tuple[Outcome, Progress]:
+    """Run an order on some bytes."""
+    progress = Progress()
+    with Spool(tmp_path) as body:
+        await body.write(data)
+        outcome = await engine.run(
+            body, order, on_patches=progress.patches.append, on_done=progress.done.append
+        )
+    # What the engine's thread told last may still be on its way.
+    await asyncio.sleep(0)
+    return outcome, progress
+
+
+def play(settings: Settings, scenario: Callable[[Engine], Awaitable[None]]) -> None:
+    """Run a scenario against an engine."""
+
+    async def whole() -> None:
+        engine = Engine(settings)
+        assert engine.status.workers == 0
+        await engine.start()
+        try:
+            assert engine.status.workers == settings.worker_count
+            await scenario(engine)
+        finally:
+            await engine.stop()
+
+    asyncio.run(whole())
+
+
+def points(outcome: Outcome) -> NDArray[np.float32]:
+    """The points of an answer, which is closed."""
+
+    async def read() -> bytes:
+        with outcome.spool as spool:
+            return (await spool.read()).tobytes()
+
+    return formats.read(io.BytesIO(asyncio.run(read())), format="ply").points
+
+
+@pytest.mark.parametrize("kind", ["inline", "dask"])
+def test_both_pools_do_the_same(tmp_path: Path, kind: str) -> None:
+    """Outcome, report, stages, progress and errors do not depend on where tasks run."""
+    settings = Settings(engine=kind, workers=2, spool_dir=tmp_path)
+    found: list[Outcome] = []
+
+    async def scenario(engine: Engine) -> None:
+        outcome, progress = await run(engine, sample_body().tobytes(), tmp_path)
+        found.append(outcome)
+        assert outcome.report["points_out"] == 6000
+        assert progress.patches == [2]
+        assert progress.done == [1, 1]
+        assert [patches for _, patches in outcome.batches] == [1, 1]
+        assert list(outcome.seconds) == [
+            "queue", "read", "prepare", "predict", "merge", "land", "finish", "write", "collect",
+        ]  # fmt: skip
+        with pytest.raises(MalformedFile):
+            await run(engine, sample_body().tobytes()[:-1], tmp_path)
+
+    play(settings, scenario)
+    sphere = points(found[0])
+    assert sphere.shape == (6000, 3)
+    assert np.abs(np.linalg.norm(sphere, axis=1) - 1).max() < 0.1
+
+
+def test_a_poisonous_request_harms_nobody_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails alone, after its second chance; requests beside it and after it are served."""
+    trap = Path(__file__).with_name("preload_poison.py")
+    config = {**dask_pool._CONFIG, "distributed.worker.preload": [str(trap)]}
+    monkeypatch.setattr(dask_pool, "_CONFIG", config)
+
+    async def scenario(engine: Engine) -> None:
+        data = sample_body().tobytes()
+        poison = asyncio.create_task(run(engine, b"POISON", tmp_path))
+        beside = [asyncio.create_task(run(engine, data, tmp_path)) for _ in range(3)]
+        with pytest.raises(WorkerLost):
+            await poison
+        for task in beside:
+            (await task)[0].spool.close()
+        (await run(engine, data, tmp_path))[0].spool.close()
+        assert engine.status.lost == 4
+
+    play(Settings(workers=2, spool_dir=tmp_path), scenario)
+
+
+def test_cancelling_an_order(tmp_path: Path) -> None:
+    """A cancelled order leaves the engine free for the next one."""
+    directions = np.random.default_rng(0).normal(size=(30_000, 3))
+    buffer = io.BytesIO()
+    formats.write(Cloud(directions), buffer, format="ply")
+    large = dataclasses.replace(ORDER, max_points=10**6, max_output_points=10**7)
+
+    async def scenario(engine: Engine) -> None:
+        order = asyncio.create_task(run(engine, buffer.getvalue(), tmp_path, large))
+        await asyncio.sleep(1.5)
+        order.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await order
+        async with asyncio.timeout(20):
+            (await run(engine, sample_body().tobytes(), tmp_path))[0].spool.close()
+
+    play(Settings(workers=2, spool_dir=tmp_path), scenario)
+
+
+def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
+    """Orders before the start are refused, and stopping what never ran is fine."""
+
+    async def scenario() -> None:
+        engine = Engine(Settings(spool_dir=tmp_path))
+        with pytest.raises(EngineLost):
+            await run(engine, b"", tmp_path)
+        await engine.stop()
+
+    asyncio.run(scenario())

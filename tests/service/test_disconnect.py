@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work ends with its client or its time, and its result or error is passed on."""
+
+import asyncio
+
+import pytest
+from starlette.requests import Request
+from starlette.types import Message
+
+from pugeo_service.body import ClientGone
+from pugeo_service.disconnect import DeadlinePassed, while_connected
+
+
+def make_request(leaves_after: float) -> Request:
+    """A request whose client leaves after some seconds."""
+
+    async def receive() -> Message:
+        await asyncio.sleep(leaves_after)
+        return {"type": "http.disconnect"}
+
+    return Request({"type": "http"}, receive)
+
+
+class Work:
+    """Work that notes how it ended."""
+
+    def __init__(self) -> None:
+        self.cancelled = False
+
+    async def __call__(self, seconds: float) -> str:
+        try:
+            await asyncio.sleep(seconds)
+        except asyncio.CancelledError:
+            self.cancelled = True
+            raise
+        return "done"
+
+
+def test_the_result() -> None:
+    """Work that ends first is simply done."""
+    assert asyncio.run(while_connected(make_request(9), Work()(0), 9)) == "done"
+
+
+def test_the_error() -> None:
+    """An error of the work is the caller's."""
+
+    async def fail() -> None:
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        asyncio.run(while_connected(make_request(9), fail(), 9))
+
+
+def test_the_client_leaves() -> None:
+    """Work for nobody is cancelled, and has ended when the caller goes on."""
+    work = Work()
+    with pytest.raises(ClientGone):
+        asyncio.run(while_connected(make_request(0.01), work(9), 9))
+    assert work.cancelled
+
+
+def test_time_is_up() -> None:
+    """So is work that takes too long."""
+    work = Work()
+    with pytest.raises(DeadlinePassed):
+        asyncio.run(while_connected(make_request(9), work(9), 0.01))
+    assert work.cancelled
+
+
+def test_cancelling_from_outside() -> None:
+    """A shutdown that cancels the request cancels the work."""
+    work = Work()
+
+    async def scenario() -> None:
+        task = asyncio.create_task(while_connected(make_request(9), work(9), 9))
+        await asyncio.sleep(0.01)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(scenario())
+    assert work.cancelled
