@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can be wrong with an input.
 
-    CloudError
-    |- MalformedFile        the bytes are not what they claim to be
-    |- UnsupportedFormat    no reader or writer of that name or content
-    |- LimitExceeded        larger than the stated limit
-    |- UntreatableCloud     a valid file whose points the method cannot treat
-    `- BadOption            an option out of its range
+CloudError
+|- MalformedFile        the bytes are not what they claim to be
+|- UnsupportedFormat    no reader or writer of that name or content
+|- LimitExceeded        larger than the stated limit
+|- UntreatableCloud     a valid file whose points the method cannot treat
+`- BadOption            an option out of its range
 """
 
 from typing import Any

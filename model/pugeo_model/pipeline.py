@@ -83,15 +83,13 @@ class Options:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.ratio, int | float) and 1.0 <= self.ratio <= MOST):
+        if not 1.0 <= self.ratio <= MOST:
             _refuse("ratio", self.ratio, "a number from 1 to 32", limit=[1, 32])
         if self.n_points is not None and self.n_points < 1:
             _refuse("n_points", self.n_points, "a positive whole number")
         if self.orient not in METHODS:
             _refuse("orient", self.orient, f"one of {', '.join(METHODS)}", allowed=list(METHODS))
-        if self.viewpoint is not None and (
-            len(self.viewpoint) != 3 or not all(math.isfinite(v) for v in self.viewpoint)
-        ):
+        if self.viewpoint is not None and (not all(math.isfinite(v) for v in self.viewpoint)):
             _refuse("viewpoint", list(self.viewpoint), "three finite numbers x, y, z")
         if self.orient == "viewpoint" and self.viewpoint is None:
             _refuse("viewpoint", None, "given where orient is 'viewpoint'")
@@ -100,7 +98,9 @@ class Options:
 
 
 def _refuse(name: str, value: Any, wanted: str, **fields: Any) -> None:
-    raise BadOption(f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields)
+    raise BadOption(
+        f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +217,7 @@ def land(model: "Model", landing: Landing) -> Landed:
     return model.land(landing)
 
 
-def merge(
-    job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]
-) -> list[Landing]:
+def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]) -> list[Landing]:
     """Decide where the output points go; parcels of them, with the charts they land on."""
     atlas = bind(charts)
     if job.n_out == len(job.points):
@@ -247,9 +245,7 @@ def _parcels(
     fixed: bool = False,
 ) -> list[Landing]:
     ends = np.cumsum([patch.core for patch in job.patches])[:-1]
-    return parcels(
-        atlas, spots, owner, job.points, job.neighbours, job.frames, ends, fixed=fixed
-    )
+    return parcels(atlas, spots, owner, job.points, job.neighbours, job.frames, ends, fixed=fixed)
 
 
 def finish(job: Job, points: Sequence[Landed]) -> Result:
@@ -320,8 +316,9 @@ class Upsampler:
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
         options = Options(ratio, n_points, orient, viewpoint, seed)
         tell = progress or (lambda _stage, _done, _total: None)
+
         def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
-            done = []
+            done: list[Any] = []
             for part in parts:
                 tell(stage, len(done), len(parts))
                 done.append(work(part))
@@ -335,9 +332,7 @@ class Upsampler:
         tell("propose", 0, 1)
         candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
         tell("merge", 0, 1)
-        points = spread(
-            "land", merge(job, charts, candidates), lambda part: land(self.model, part)
-        )
+        points = spread("land", merge(job, charts, candidates), lambda part: land(self.model, part))
         tell("finish", 0, 1)
         result = finish(job, points)
         tell("finish", 1, 1)

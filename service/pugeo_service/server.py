@@ -126,6 +126,8 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
+        # Whoever reads the address may connect at once, before uvicorn is up.
+        listener.listen()
     except OSError:
         listener.close()
         raise

@@ -45,9 +45,7 @@ class Server:
     def wait_until_ready(self, seconds: float = _READY_S) -> None:
         """Wait for a 200 of /health/ready."""
         end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            if self.process.poll() is not None:
-                break
+        while time.monotonic() < end and self.process.poll() is None:
             if httpx2.get(f"{self.url}/health/ready").status_code == 200:
                 return
             time.sleep(0.1)
@@ -70,7 +68,7 @@ class Server:
 
 def _command(process: Any) -> list[str]:
     try:
-        return process.cmdline()
+        return list(process.cmdline())
     except psutil.Error:
         return []
 

@@ -191,12 +191,10 @@ def far_cluster(folder: Path) -> Iterator[tuple[str, dict[str, str]]]:
     address = f"tls://127.0.0.1:{port}"
     dask = [sys.executable, "-m", "dask"]
     commands = [
-        [*dask, "scheduler", "--host", address, "--no-dashboard", "--dashboard-address", "127.0.0.1:0", *tls],
-        [
-            *dask, "worker", address, "--nthreads", "1", "--no-dashboard",
-            "--preload", "pugeo_service.engine.preload", "--local-directory", str(folder), *tls,
-        ],
-    ]  # fmt: skip
+        [*dask, "scheduler", "--host", address, "--no-dashboard", *tls],
+        [*dask, "worker", address, "--nthreads", "1", "--local-directory", str(folder), *tls],
+    ]
+    commands[1] += ["--no-dashboard", "--preload", "pugeo_service.engine.preload"]
     with (folder / "cluster.log").open("w") as log:
         processes = [
             subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))

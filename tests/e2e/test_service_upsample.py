@@ -145,7 +145,7 @@ def test_headers(server: Server, cloud: Cloud) -> None:
     assert int(headers["content-length"]) == len(response.content)
     stages = [part.split(";dur=") for part in headers["server-timing"].split(", ")]
     assert [stage for stage, _ in stages] == [
-        "queue", "read", "prepare", "predict", "merge", "land", "finish", "write", "collect",
+        "queue", "read", "prepare", "predict", "land", "merge", "finish", "write", "collect",
     ]  # fmt: skip
     assert all(float(spent) >= 0 for _, spent in stages)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+
 from pugeo_model import UntreatableCloud
 from pugeo_model.normalise import normalise
 

@@ -91,9 +91,7 @@ def flip_frames(frames: Frames, normal: NDArray[np.bool_], tangent: NDArray[np.b
     axes = frames.axes * np.stack([t, n * t, n], axis=1)[:, :, None]
     u, v, h = t, n * t, n
     signs = np.stack([h, h * u, h * v, h, h * u * v, h], axis=1)
-    return Frames(
-        axes, frames.spacing, frames.quadric * signs, frames.residual, frames.noise
-    )
+    return Frames(axes, frames.spacing, frames.quadric * signs, frames.residual, frames.noise)
 
 
 @njit(cache=True, nogil=True)

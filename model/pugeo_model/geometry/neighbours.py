@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The k nearest neighbours of every point, and the local spacing they give."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["NEIGHBOURS", "SPACING_NEIGHBOURS", "nearest", "spacing"]
+__all__ = ["NEIGHBOURS", "SPACING_NEIGHBOURS", "knn", "nearest", "spacing"]
 
 NEIGHBOURS = 32
 """Neighbours that make up a chart's neighbourhood."""
@@ -14,8 +16,30 @@ SPACING_NEIGHBOURS = 8
 """Neighbours whose mean distance is the local spacing ``s``: on an even sample, one ring."""
 
 
+def knn(
+    tree: cKDTree,
+    queries: NDArray[Any],
+    count: int,
+    reach: float = np.inf,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The ``count`` nearest points of a tree to each query, nearest first.
+
+    Args:
+        tree: of ``(M, 3)`` points.
+        queries: ``(K, 3)``.
+        count: neighbours wanted, at most ``M`` unless ``reach`` is finite.
+        reach: distance beyond which nothing is found: distance infinity, row ``M``.
+
+    Returns:
+        Distances and rows, both ``(K, count)``.
+    """
+    # A list of ranks, unlike a bare number, keeps the second dimension also for one neighbour.
+    distances, rows = tree.query(queries, list(range(1, count + 1)), distance_upper_bound=reach)
+    return np.asarray(distances), np.asarray(rows, dtype=np.int64)
+
+
 def nearest(
-    points: NDArray[np.float64], count: int = NEIGHBOURS, tree: cKDTree | None = None
+    points: NDArray[np.float64], count: int = NEIGHBOURS
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Nearest neighbours, the point itself left out.
 
@@ -23,21 +47,19 @@ def nearest(
         points: ``(M, 3)`` float64, distinct.
         count: neighbours wanted. A cloud of fewer than ``count + 1`` points has its furthest
             neighbour repeated, so that the shape of the answer never depends on ``M``.
-        tree: a kd-tree of ``points`` where the caller has one.
 
     Returns:
         Distances ``(M, count)`` float32 in the points' units and rows ``(M, count)`` int32,
         nearest first.
     """
-    tree = tree or cKDTree(points)
     found = min(count + 1, len(points))
-    distances, rows = tree.query(points, found)
+    far, near = knn(cKDTree(points), points, found)
     # Near-duplicates may come back before the point itself, so column 0 is not always "self".
-    own = rows == np.arange(len(points))[:, None]
+    own = near == np.arange(len(points))[:, None]
     missing = ~own.any(axis=1)
     own[missing, -1] = True
-    distances = distances[~own].reshape(len(points), found - 1).astype(np.float32)
-    rows = rows[~own].reshape(len(points), found - 1).astype(np.int32)
+    distances = far[~own].reshape(len(points), found - 1).astype(np.float32)
+    rows = near[~own].reshape(len(points), found - 1).astype(np.int32)
     if found - 1 < count:
         lack = ((0, 0), (0, count - found + 1))
         distances, rows = np.pad(distances, lack, mode="edge"), np.pad(rows, lack, mode="edge")
@@ -47,4 +69,5 @@ def nearest(
 def spacing(distances: NDArray[np.float32]) -> NDArray[np.float32]:
     """Local spacing ``s``: mean distance to the 8 nearest, ``(M, k)`` -> ``(M,)``, units kept."""
     near = distances[:, :SPACING_NEIGHBOURS]
-    return np.maximum(near.mean(axis=1), np.finfo(np.float32).tiny)
+    mean: NDArray[np.float32] = near.mean(axis=1)
+    return np.maximum(mean, np.finfo(np.float32).tiny)

@@ -142,7 +142,9 @@ def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-
             u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z
             v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z
             h = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z
-            fit = q[0] + q[1] * u + q[2] * v + 0.5 * q[3] * u * u + q[4] * u * v + 0.5 * q[5] * v * v
+            fit = (
+                q[0] + q[1] * u + q[2] * v + 0.5 * q[3] * u * u + q[4] * u * v + 0.5 * q[5] * v * v
+            )
             out[j, i, 0] = u
             out[j, i, 1] = v
             out[j, i, 2] = h

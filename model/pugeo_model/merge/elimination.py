@@ -17,7 +17,8 @@ _LIMIT, _LIMIT_POWER = 0.65, 1.5
 
 def reach_of_share(area: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of neighbours in the hexagonal packing that gives each survivor ``area``."""
-    return np.sqrt(area * (2.0 / np.sqrt(3.0)))
+    reach: NDArray[np.float64] = np.sqrt(area * (2.0 / np.sqrt(3.0)))
+    return reach
 
 
 def eliminate(
@@ -52,7 +53,7 @@ def _weight(points, reach, floor, i, j):  # type: ignore[no-untyped-def]
     x = points[i, 0] - points[j, 0]
     y = points[i, 1] - points[j, 1]
     z = points[i, 2] - points[j, 2]
-    far = reach[i] if reach[i] > reach[j] else reach[j]
+    far = max(reach[j], reach[i])
     share = 1.0 - max(np.sqrt(x * x + y * y + z * z) / far, floor)
     if share <= 0.0:
         return 0.0

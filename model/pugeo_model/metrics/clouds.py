@@ -5,6 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.neighbours import knn
+
 __all__ = ["chamfer", "evenness", "hausdorff", "jensen_shannon", "nearest_both", "sphere_distances"]
 
 _GRID = 28
@@ -14,9 +16,9 @@ def nearest_both(
     prediction: NDArray[np.float64], reference: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances from each prediction to its nearest reference, and the other way round."""
-    there: NDArray[np.float64] = cKDTree(reference).query(prediction)[0]
-    back: NDArray[np.float64] = cKDTree(prediction).query(reference)[0]
-    return there, back
+    there, _ = knn(cKDTree(reference), prediction, 1)
+    back, _ = knn(cKDTree(prediction), reference, 1)
+    return there[:, 0], back[:, 0]
 
 
 def chamfer(there: NDArray[np.float64], back: NDArray[np.float64]) -> float:
@@ -39,7 +41,7 @@ def jensen_shannon(prediction: NDArray[np.float64], reference: NDArray[np.float6
 def sphere_distances(
     prediction: NDArray[np.float64], reference: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """sCD and sHD: sums of mean and of largest squared nearest distances.
+    """SCD and sHD: sums of mean and of largest squared nearest distances.
 
     Each cloud is first centred on its own mean and scaled to radius 1, as in the protocol of
     PU-GAN and its successors.
@@ -51,7 +53,7 @@ def sphere_distances(
 
 def evenness(points: NDArray[np.float64]) -> float:
     """Coefficient of variation of nearest-neighbour distances; about 0.08 for Poisson disks."""
-    distance = cKDTree(points).query(points, 2)[0][:, 1]
+    distance = knn(cKDTree(points), points, 2)[0][:, 1]
     return float(distance.std() / distance.mean())
 
 

@@ -98,7 +98,8 @@ class Samples(nn.Module):
             hidden = torch.relu_(self.code(features).unsqueeze(1) + self.pattern(seen))
             hidden = torch.relu_(self.hidden(hidden))
             residual = 2.0 * inverse_root * self.out(hidden).float()
-        return _DISK * (pattern @ stretch.mT + residual)
+        uv: Tensor = _DISK * (pattern @ stretch.mT + residual)
+        return uv
 
 
 class Surface(nn.Module):

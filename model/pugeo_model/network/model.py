@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import torch
 
-
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
 from pugeo_model.network.blend import blend

@@ -25,14 +25,15 @@ class _Max(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Tensor:
         values, top = ctx.saved_tensors
-        return (values == top) * grads[0]
+        passed: Tensor = (values == top) * grads[0]
+        return passed
 
 
 def max_pool(values: Tensor) -> Tensor:
     """``(k, n, c)``, output of a ReLU -> ``(n, c)``."""
     if not values.requires_grad:
         return values.amax(dim=0)
-    pooled: Tensor = _Max.apply(values)
+    pooled: Tensor = _Max.apply(values)  # type: ignore[no-untyped-call]  # torch has no types here
     return pooled
 
 

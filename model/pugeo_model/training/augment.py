@@ -2,10 +2,13 @@
 """Inputs as sensors give them: even, random, ramped, cut off, in scan lines, noisy."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.neighbours import knn
 from pugeo_model.training.corpus import SIZES, Shape
 
 __all__ = ["Mix", "draw"]
@@ -52,7 +55,7 @@ def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.f
             1.0 - mix.noisy - mix.random - mix.ramp - mix.cut - mix.lines,
         ],
     )
-    points = shape.inputs[size]
+    points: NDArray[Any] = shape.inputs[size]
     noise = 0.0
     if kind == 0:
         noise = rng.uniform(0.0, mix.noise)
@@ -89,12 +92,11 @@ def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[
     near = np.abs((height / gap) % 1.0 - 0.5) < 0.04
     rows = np.flatnonzero(near)
     keep = int(len(pool) * 0.08 * rng.uniform(0.3, 1.0))
-    return pool[rng.permutation(rows)[: max(keep, 600)]]
+    thinned: NDArray[np.float32] = pool[rng.permutation(rows)[: max(keep, 600)]]
+    return thinned
 
 
 def _typical_spacing(points: NDArray[np.float64]) -> float:
     """Root of the area a point has, from distances to 8 neighbours of some points."""
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(points).query(points[:: max(1, len(points) // 200)], 9)
+    distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
     return float(np.median(distance[:, 1:].mean(axis=1)))

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from torch.utils.data import Dataset
 
 from pugeo_model.geometry.frames import Frames, fit_frames, flip_frames
-from pugeo_model.geometry.neighbours import NEIGHBOURS, nearest, spacing
+from pugeo_model.geometry.neighbours import knn, nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.corpus import Shape
@@ -86,11 +86,11 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         points, noise = draw(shape, self.mix, rng)
         tree = cKDTree(points)
         seed = points[rng.integers(len(points))]
-        around = tree.query(seed, min(_AROUND, len(points)))[1]
+        around = knn(tree, seed[None], min(_AROUND, len(points)))[1][0]
         points = points[around]
         core_count = min(_CORE, len(points))
         tree = cKDTree(points)
-        distance, neighbours = nearest(points, NEIGHBOURS, tree)
+        distance, neighbours = nearest(points)
         # The outermost points lack neighbours beyond the rim; only far rings ever see them.
         frames = fit_frames(points, neighbours, spacing(distance))
         frames = self._flip(frames, rng)
@@ -117,7 +117,7 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         offset = shape.pool - seed.astype(np.float32)
         inside = np.flatnonzero((offset * offset).sum(axis=1) < radius * radius)
         chosen = shape.pool[rng.permutation(inside)[: 2 * _TRUTHS]]
-        distance, owners = tree.query(chosen, _OWNERS)
+        distance, owners = knn(tree, chosen, _OWNERS)
         owned = (owners < core).all(axis=1)
         owned &= distance[:, 0] < _REACHABLE * frames.spacing[np.minimum(owners[:, 0], core - 1)]
-        return chosen[owned][:_TRUTHS], owners[owned][:_TRUTHS].astype(np.int64)
+        return chosen[owned][:_TRUTHS], owners[owned][:_TRUTHS]

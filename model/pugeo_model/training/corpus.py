@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.neighbours import knn
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 
 __all__ = [
@@ -97,7 +98,9 @@ def load_shape(path: Path, cache: Path) -> Shape:
         arrays["vertices"] = vertices
         cache.mkdir(parents=True, exist_ok=True)
         with NamedTemporaryFile(dir=cache, suffix=".npz", delete=False) as file:
-            np.savez(file, **{k: v.astype(np.float32) for k, v in arrays.items()})
+            np.savez(
+                file, allow_pickle=False, **{k: v.astype(np.float32) for k, v in arrays.items()}
+            )
         Path(file.name).replace(stored)
     with np.load(stored) as kept:
         vertices = kept["vertices"].astype(np.float64)
@@ -111,9 +114,7 @@ def load_shape(path: Path, cache: Path) -> Shape:
         )
 
 
-def face_normals(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Unit normals ``(F, 3)``; zero for a face without area."""
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -136,7 +137,8 @@ def uniform(
     chosen = rng.choice(len(faces), size=count, p=area / area.sum())
     root, v = np.sqrt(rng.random(count)), rng.random(count)
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
-    return np.einsum("nc,ncd->nd", weights, corner[chosen])
+    mixed: NDArray[np.float64] = np.einsum("nc,ncd->nd", weights, corner[chosen])
+    return mixed
 
 
 def poisson_disk(
@@ -151,7 +153,7 @@ def poisson_disk(
     share = 0.5 * np.linalg.norm(cross, axis=1).sum() / count
     candidates = uniform(vertices, faces, _OVERSAMPLE * count, rng)
     reach = np.full(len(candidates), reach_of_share(np.array(share)))
-    distance, rows = cKDTree(candidates).query(candidates, 28, distance_upper_bound=reach[0])
+    distance, rows = knn(cKDTree(candidates), candidates, 28, reach[0])
     rows = np.where(np.isfinite(distance), rows, -1)
     rows[rows == np.arange(len(rows))[:, None]] = -1
     return candidates[eliminate(candidates, rows.astype(np.int32), reach, count)]

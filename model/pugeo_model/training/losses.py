@@ -19,12 +19,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.network.blend import CHARTS, blend
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 from pugeo_model.training.batches import Sample
 from pugeo_model.training.corpus import Shape
-from pugeo_model.metrics.surface_distance import MeshDistance
 
 __all__ = ["JointLoss", "Weights"]
 
@@ -85,7 +85,9 @@ class JointLoss:
         axes = _rows([f.axes[:n] for f, n in zip(frames, core, strict=True)])
         spacing = _rows([f.spacing[:n] for f, n in zip(frames, core, strict=True)])
         quadric = _rows([f.quadric[:n] for f, n in zip(frames, core, strict=True)])
-        trust = _rows([np.full(n, 1 / (1 + w.noise * s.noise)) for s, n in zip(samples, core, strict=True)])
+        trust = _rows(
+            [np.full(n, 1 / (1 + w.noise * s.noise)) for s, n in zip(samples, core, strict=True)]
+        )
 
         charts, uv = net(gather([sample.patch for sample in samples]), quadric, count)
         local, normals, log_error = evaluate(net.surface, charts, uv)
@@ -121,14 +123,17 @@ class JointLoss:
             "refined_normal": (share * turn).sum(),
             "confidence": (share * expected).sum(),
         }
-        parts |= self._blended(net, charts, samples, core, start, points, axes, spacing, cloud, trust, rng)
+        parts |= self._blended(
+            net, charts, samples, core, start, points, axes, spacing, cloud, trust, rng
+        )
         total = (
             w.coverage * parts["coverage"]
             + w.p2f * parts["p2f"]
             + 3.0 * count * parts["p2f_squared"]
             + w.coarse_normal * parts["coarse_normal"]
             + w.refined_normal * parts["refined_normal"]
-            + w.blended * (parts["blended_p2f"] + parts["blended_normal"] / 6 + parts["chart_p2f"] / 2)
+            + w.blended
+            * (parts["blended_p2f"] + parts["blended_normal"] / 6 + parts["chart_p2f"] / 2)
             + w.confidence * (parts["confidence"] + parts["chart_confidence"])
         )
         return total, {name: float(part.detach()) for name, part in parts.items()}

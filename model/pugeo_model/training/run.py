@@ -19,9 +19,7 @@ from pugeo_model.weights import save
 __all__ = ["load_shapes", "plot_curves", "run"]
 
 
-def load_shapes(
-    folder: Path, tick: Callable[[int, int], None] | None = None
-) -> list[Shape]:
+def load_shapes(folder: Path, tick: Callable[[int, int], None] | None = None) -> list[Shape]:
     """All shapes of a folder; samples are made once and cached (``$PUGEO_CACHE``)."""
     files = mesh_files(folder)
     shapes = []

@@ -20,7 +20,8 @@ def warm(model: str) -> None:
     prepared = stages.prepare(sample_body(), sample_order(model, deadline_s=0.0))
     total = stages.describe_prepared(prepared).patches
     charted = [stages.predict(stages.cut_patches(prepared, i, i + 1), model) for i in range(total)]
-    merged = stages.merge(prepared, charted)
+    proposed = stages.propose(prepared, charted)
+    merged = stages.merge(prepared, charted, [stages.land(proposed.landings, model)])
     stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+
 from pugeo_model.geometry.frames import fit_frames, flip_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import MESSAGES, cut, edges, poses
@@ -52,11 +53,7 @@ def test_pose_of_a_frame_seen_from_itself(sphere):
     pose = poses(patch, 50, MESSAGES[0])[2, 11]
     other = patch.neighbours[11, 2]
     f = patch.frames
-    np.testing.assert_allclose(
-        pose[3:12].reshape(3, 3), f.axes[11] @ f.axes[other].T, atol=1e-5
-    )
+    np.testing.assert_allclose(pose[3:12].reshape(3, 3), f.axes[11] @ f.axes[other].T, atol=1e-5)
     offset = patch.points[other] - patch.points[11]
     np.testing.assert_allclose(pose[:3], f.axes[11] @ offset / f.spacing[11], atol=1e-5)
-    np.testing.assert_allclose(
-        pose[12:15], -(f.axes[other] @ offset) / f.spacing[other], atol=1e-4
-    )
+    np.testing.assert_allclose(pose[12:15], -(f.axes[other] @ offset) / f.spacing[other], atol=1e-4)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+
 from pugeo_model.geometry.neighbours import nearest
 from pugeo_model.merge.crowd import crowd
 from pugeo_model.merge.placement import nearest_charts

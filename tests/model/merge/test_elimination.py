@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 from pugeo_model.metrics.clouds import evenness
-from scipy.spatial import cKDTree
 
 
 def setup(count=5000, keep=1000):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+
 from pugeo_model.metrics.clouds import (
     chamfer,
     evenness,
@@ -40,7 +41,7 @@ def test_jensen_shannon_bounds(grid):
 
 
 def test_sphere_distances_ignore_place_and_scale(grid):
-    """sCD and sHD of a moved and scaled copy are 0; both are squared, summed over both sides."""
+    """SCD and sHD of a moved and scaled copy are 0; both are squared, summed over both sides."""
     assert sphere_distances(grid, 3 * grid + 1) == pytest.approx((0.0, 0.0), abs=1e-20)
     ring = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float)
     turned = np.array([[1, 1, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0]]) / np.sqrt(2)

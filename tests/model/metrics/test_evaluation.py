@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-igl = pytest.importorskip("igl", reason="evaluation needs the train extra")
+pytest.importorskip("igl", reason="evaluation needs the train extra")
 
 
 @pytest.fixture

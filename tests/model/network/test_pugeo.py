@@ -2,6 +2,7 @@
 import numpy as np
 import pytest
 import torch
+
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import cut
@@ -39,7 +40,7 @@ def test_shapes_for_any_ratio(net, sphere, count):
     assert points.dtype == normals.dtype == torch.float32
 
 
-def test_T_is_a_rotation_and_gives_the_coarse_normal(net, sphere):
+def test_t_is_a_rotation_and_gives_the_coarse_normal(net, sphere):
     """T is orthonormal; its third column, T (0, 0, 1), is the cross product of the tangents."""
     patch = patch_of(sphere)
     with torch.inference_mode():
@@ -108,4 +109,6 @@ def test_pools_match_torch():
     (max_pool(values).sum() + mean_pool(values).sum()).backward()
     (other.max(dim=0).values.sum() + other.mean(dim=0).sum()).backward()
     positive = other.detach() > 0
+    assert values.grad is not None
+    assert other.grad is not None
     torch.testing.assert_close(values.grad[positive], other.grad[positive])

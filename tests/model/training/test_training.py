@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import torch
 
-igl = pytest.importorskip("igl", reason="training needs the train extra")
+pytest.importorskip("igl", reason="training needs the train extra")
 
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training import corpus
@@ -47,7 +47,7 @@ def shapes(meshes, tmp_path_factory):
         assert len(list(cache.glob("*.npz"))) == 1
 
 
-def test_samples_are_cached_by_content(shapes, meshes, tmp_path, monkeypatch):
+def test_samples_are_cached_by_content(meshes, tmp_path, monkeypatch):
     """A second load samples nothing; another mesh of the same name is sampled anew."""
     cache = tmp_path / "cache"
     first = load_shape(mesh_files(meshes)[0], cache)
@@ -113,13 +113,13 @@ def test_loss_is_finite_and_has_gradients_everywhere(shapes):
 def test_resumes_exactly(shapes, meshes, tmp_path):
     """Six steps in a row and three plus three give the same weights, bit for bit."""
 
-    def train(folder, *lengths):
+    def train(folder, lengths):
         for steps in lengths:
             recipe = Recipe(SMALL, steps=steps, warmup=2, cooldown=0.0)
             run(shapes, [], meshes, recipe, folder, "small", 3, lambda *_: None)
         return (folder / "small.safetensors").read_bytes()
 
-    assert train(tmp_path / "once", 6) == train(tmp_path / "twice", 3, 6)
+    assert train(tmp_path / "once", [6]) == train(tmp_path / "twice", [3, 6])
     for name in ("log.csv", "curves.png", "small.json", "checkpoint.pt"):
         assert (tmp_path / "once" / name).stat().st_size > 0
 

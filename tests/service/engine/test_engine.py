@@ -6,6 +6,7 @@ import dataclasses
 import io
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ def points(outcome: Outcome) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize("kind", ["inline", "dask"])
-def test_both_pools_do_the_same(tmp_path: Path, kind: str) -> None:
+def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"]) -> None:
     """Outcome, report, stages, progress and errors do not depend on where tasks run."""
     settings = Settings(engine=kind, workers=2, spool_dir=tmp_path)
     found: list[Outcome] = []
@@ -86,7 +87,7 @@ def test_both_pools_do_the_same(tmp_path: Path, kind: str) -> None:
         assert progress.done == [1, 1]
         assert [patches for _, patches in outcome.batches] == [1, 1]
         assert list(outcome.seconds) == [
-            "queue", "read", "prepare", "predict", "merge", "land", "finish", "write", "collect",
+            "queue", "read", "prepare", "predict", "land", "merge", "finish", "write", "collect",
         ]  # fmt: skip
         with pytest.raises(MalformedFile):
             await run(engine, sample_body().tobytes()[:-1], tmp_path)

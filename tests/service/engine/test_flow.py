@@ -104,8 +104,9 @@ def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
     _, data = run(pool, tmp_path)
     cuts = [handle.args[1:] for handle in pool.of("cut_patches")]
     assert cuts == [(0, 2), (2, 4), (4, 6), (6, 7)]
-    merged = pool.of("merge")[0].args[1]
-    assert [handle.args[0].args[1:] for handle in merged] == cuts
+    for stage in ("propose", "merge"):
+        charted = pool.of(stage)[0].args[1]
+        assert [handle.args[0].args[1:] for handle in charted] == cuts
     assert data == b"012"
 
 

@@ -96,6 +96,6 @@ def _walk_rows(
 @cache
 def _compiled() -> Callable[..., tuple[int, int, bool]]:
     # Files with lists of different lengths are rare, and numba takes half a second to import.
-    import numba  # noqa: PLC0415
+    import numba
 
     return cast("Callable[..., tuple[int, int, bool]]", numba.njit(nogil=True)(_walk_rows))

@@ -34,7 +34,9 @@ class Recalibration(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """``(n, scales * width)`` -> the same, each scale times its weight, mean weight 1."""
         weights = functional.softmax(self.logits(features).float(), dim=-1) * self.scales
-        parts = features.unflatten(-1, (self.scales, -1)) * weights.unsqueeze(-1).to(features.dtype)
+        parts: Tensor = features.unflatten(-1, (self.scales, -1)) * weights.unsqueeze(-1).to(
+            features.dtype
+        )
         return parts.flatten(-2)
 
 
@@ -52,7 +54,7 @@ class Neighbours(nn.Module):
         """``(k, n, 5)``, ``(n, 9)`` -> ``(n, out)``."""
         each = torch.relu_(self.second(torch.relu_(self.first(edges))))
         # Neighbours come sorted by distance: the max over the first 16 grows from that over 8.
-        pools = []
+        pools: list[Tensor] = []
         start = 0
         for stop in _SCALES:
             pool = max_pool(each[start:stop])
@@ -87,7 +89,8 @@ class Messages(nn.Module):
         each = torch.relu_(self.pose(turn.pose).add_(sent).add_(self.receiver(own)))
         each = torch.relu_(self.second(each))
         pooled = torch.cat([own, max_pool(each), mean_pool(each)], dim=-1)
-        return self.norm(own + torch.relu_(self.out(pooled)))
+        updated: Tensor = self.norm(own + torch.relu_(self.out(pooled)))
+        return updated
 
 
 class ChartsBackbone(nn.Module):
