@@ -2,7 +2,6 @@
 """How a service starts, fills up, drains and ends, near its workers or far from them."""
 
 import io
-import os
 import signal
 import socket
 import subprocess
@@ -10,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -170,61 +168,89 @@ def test_inline(launch: Any, server: Any) -> None:
         np.testing.assert_allclose(here, there, atol=1e-6)
 
 
-@contextmanager
-def far_cluster(folder: Path) -> Iterator[tuple[str, dict[str, str]]]:
+class FarCluster:
     """A Dask scheduler and a worker as somebody would run them elsewhere, over mutual TLS."""
-    from distributed import Security
 
-    security: Any = Security
-    temporary = security.temporary()
-    files = {}
-    for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
-        files[name] = folder / f"{name}.pem"
-        files[name].write_text(getattr(temporary, name))
-    tls = [
-        "--tls-ca-file", str(files["tls_ca_file"]),
-        "--tls-cert", str(files["tls_client_cert"]),
-        "--tls-key", str(files["tls_client_key"]),
-    ]  # fmt: skip
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
-    address = f"tls://127.0.0.1:{port}"
-    dask = [sys.executable, "-m", "dask"]
-    commands = [
-        [*dask, "scheduler", "--host", address, "--no-dashboard", *tls],
-        [*dask, "worker", address, "--nthreads", "1", "--local-directory", str(folder), *tls],
-    ]
-    commands[1] += ["--no-dashboard", "--preload", "pugeo_service.engine.preload"]
-    with (folder / "cluster.log").open("w") as log:
-        processes = [
-            subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))
-            for command in commands
-        ]
-        try:
-            yield (
-                address,
-                {
-                    "PUGEO_TLS_CA": str(files["tls_ca_file"]),
-                    "PUGEO_TLS_CERT": str(files["tls_client_cert"]),
-                    "PUGEO_TLS_KEY": str(files["tls_client_key"]),
-                },
-            )
-        finally:
-            for process in reversed(processes):
-                process.terminate()
-                process.wait(30)
+    def __init__(self, folder: Path) -> None:
+        from distributed import Security
+
+        security: Any = Security
+        temporary = security.temporary()
+        files = {}
+        for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
+            files[name] = str(folder / f"{name}.pem")
+            Path(files[name]).write_text(getattr(temporary, name))
+        ca, cert, key = files.values()
+        self.credentials = {"PUGEO_TLS_CA": ca, "PUGEO_TLS_CERT": cert, "PUGEO_TLS_KEY": key}
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self.address = f"tls://127.0.0.1:{probe.getsockname()[1]}"
+        self._common = ["--no-dashboard", "--tls-ca-file", ca, "--tls-cert", cert, "--tls-key", key]
+        self._folder = folder
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def start(self) -> None:
+        """Start both."""
+        preload = ["--preload", "pugeo_service.engine.preload"]
+        spill = ["--local-directory", str(self._folder)]
+        self._run("scheduler", "--host", self.address)
+        self._run("worker", self.address, "--nthreads", "1", *preload, *spill)
+
+    def stop(self) -> None:
+        """End both, the scheduler without a word to anybody."""
+        while self._processes:
+            process = self._processes.pop()
+            process.send_signal(signal.SIGTERM if self._processes else signal.SIGKILL)
+            process.wait(30)
+
+    def _run(self, *arguments: str) -> None:
+        with (self._folder / "cluster.log").open("a") as log:
+            command = [sys.executable, "-m", "dask", *arguments, *self._common]
+            self._processes.append(subprocess.Popen(command, stdout=log, stderr=log))
 
 
-def test_a_cluster_elsewhere(tmp_path: Path, launch: Any, server: Any) -> None:
-    """PUGEO_SCHEDULER: the same code, the same answers, and it stays up when the front goes."""
-    with far_cluster(tmp_path) as (address, credentials):
-        for _ in range(2):
-            with launch("--scheduler", address, **credentials) as front:
-                front.wait_until_ready()
-                health = httpx2.get(f"{front.url}/health").json()
-                assert (health["workers"], health["workers_expected"]) == (1, None)
-                answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
-                assert answer.status_code == 200, answer.text
-                assert front.stop() == 0
-        near = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
-        np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)
+@pytest.fixture
+def far(tmp_path: Path) -> Iterator[FarCluster]:
+    """A cluster elsewhere, not started yet."""
+    cluster = FarCluster(tmp_path)
+    yield cluster
+    cluster.stop()
+
+
+def test_a_cluster_elsewhere(far: FarCluster, launch: Any, server: Any) -> None:
+    """PUGEO_SCHEDULER: the same code and answers; it stays up when the front goes."""
+    far.start()
+    for _ in range(2):
+        with launch("--scheduler", far.address, **far.credentials) as front:
+            front.wait_until_ready()
+            health = httpx2.get(f"{front.url}/health").json()
+            assert (health["workers"], health["workers_expected"]) == (1, None)
+            answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
+            assert answer.status_code == 200, answer.text
+            assert front.stop() == 0
+    near = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+    np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)
+
+
+def test_a_cluster_that_goes_away(far: FarCluster, launch: Any) -> None:
+    """While it is gone the answer is 503, also to whoever was waiting; when it is back, 200."""
+    far.start()
+    with launch("--scheduler", far.address, **far.credentials) as front:
+        front.wait_until_ready()
+        waiting = begun(front, LARGE)
+        time.sleep(2)
+        far.stop()
+        waiting.join()
+        assert waiting.response is not None
+        found = waiting.response.json()
+        assert (found["status"], found["code"], found["retryable"]) == (503, "engine_lost", True)
+        for _ in range(3):
+            refused = httpx2.post(f"{front.url}/upsample", content=SMALL, timeout=60)
+            assert refused.status_code == 503, refused.text
+            time.sleep(0.5)
+        assert httpx2.get(f"{front.url}/health/ready").json()["code"] == "no_worker"
+        assert httpx2.get(f"{front.url}/health/live").status_code == 200
+        far.start()
+        front.wait_until_ready()
+        answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
+        assert answer.status_code == 200, answer.text
+        assert front.stop() == 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import dask
 import distributed
-from distributed.client import FutureCancelledError
+from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.errors import EngineLost, WorkerLost
@@ -44,6 +44,7 @@ _ONE_THREAD = dict.fromkeys(
 )
 _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
+_SILENCE_S = 10.0
 
 
 class DaskPool:
@@ -84,20 +85,8 @@ class DaskPool:
             )
             # Known before it runs, so that `stop` can end one that never came up.
             await self._cluster
-            address: Any = self._cluster
-        else:
-            security = _dask.Security(
-                tls_ca_file=str(settings.tls_ca),
-                tls_client_cert=str(settings.tls_cert),
-                tls_client_key=str(settings.tls_key),
-                require_encryption=True,
-            )
-            address = settings.scheduler
-        # Results go from worker to front without a copy in the scheduler.
-        self._client = await _dask.Client(
-            address, asynchronous=True, security=security, direct_to_workers=True
-        )
-        await self._client.wait_for_workers(1)
+        await self._connect()
+        await self._connected.wait_for_workers(1)
         await self._look()
         self._poll = asyncio.create_task(self._keep_looking())
 
@@ -116,15 +105,13 @@ class DaskPool:
         """Queue ``stage(*args)``."""
         # Dask guesses how long a task takes from others whose key begins alike.
         prefix = f"{stage}_{'long' if long else 'short'}"
-        return self._connected.submit(
-            run_stage,
-            stage,
-            seconds,
-            *args,
-            key=f"{prefix}-{secrets.token_hex(12)}",
-            pure=False,
-            priority=priority,
-        )
+        key = f"{prefix}-{secrets.token_hex(12)}"
+        try:
+            return self._connected.submit(
+                run_stage, stage, seconds, *args, key=key, pure=False, priority=priority
+            )
+        except ClosedClientError as error:
+            raise EngineLost(str(error)) from error
 
     async def wait(self, handle: Any) -> None:
         """Wait for a result without moving it."""
@@ -151,6 +138,23 @@ class DaskPool:
         """Let results go; Dask drops whatever has not begun once nobody wants it."""
         self.release(handles)
 
+    async def _connect(self) -> None:
+        settings = self._settings
+        if self._cluster is not None:
+            address, security = self._cluster, self._cluster.security
+        else:
+            address = settings.scheduler
+            security = _dask.Security(
+                tls_ca_file=str(settings.tls_ca),
+                tls_client_cert=str(settings.tls_cert),
+                tls_client_key=str(settings.tls_key),
+                require_encryption=True,
+            )
+        # Results go from worker to front without a copy in the scheduler.
+        self._client = await _dask.Client(
+            address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
+        )
+
     @property
     def _connected(self) -> Any:
         if self._client is None:
@@ -161,9 +165,20 @@ class DaskPool:
         while True:
             await asyncio.sleep(_POLL_S)
             try:
-                await self._look()
-            except OSError:
+                async with asyncio.timeout(_SILENCE_S):
+                    await self._look()
+            except (OSError, EngineLost):
                 self._workers = frozenset()
+                if self._cluster is None:
+                    await self._connect_again()
+
+    async def _connect_again(self) -> None:
+        """Look for a scheduler that went away; Dask's own client gives up too early."""
+        client, self._client = self._client, None
+        with contextlib.suppress(OSError):
+            if client is not None:
+                await client.close(timeout=1)
+            await self._connect()
 
     async def _look(self) -> None:
         identity = await self._connected.scheduler.identity(n_workers=-1)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a case is, and what is measured of it; both travel between processes as JSON."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Self
+
+__all__ = ["ALL", "QUICK", "Accuracy", "Case", "Figures"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the tables.
+
+    Attributes:
+        points: points of the input.
+        ratio: output points an input point.
+        repeats: timed runs, after one that is not timed.
+    """
+
+    points: int
+    ratio: int
+    repeats: int
+
+    @property
+    def name(self) -> str:
+        """Such as ``5,000 x4``."""
+        return f"{self.points:,} x{self.ratio}"
+
+    def to_json(self) -> str:
+        """The inverse of :meth:`from_json`."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The inverse of :meth:`to_json`."""
+        return cls(**json.loads(text))
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How good a dense cloud is; a fast method that misses the surface is not fast.
+
+    Attributes:
+        distance: mean distance to the true surface, in percent of the input's spacing.
+        angle: mean angle between normal and true normal, degrees, sign ignored.
+        evenness: standard deviation over mean of distances to the nearest neighbour.
+    """
+
+    distance: float
+    angle: float
+    evenness: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What one case gave.
+
+    Attributes:
+        case: the case.
+        seconds: fastest timed run, bytes to bytes, wall clock.
+        cpu_seconds: processor time of that run: what ``seconds`` would be if the core had been
+            ours alone. Ratios are made of it.
+        slowest: slowest timed run.
+        stages: stage -> seconds of the fastest run, in the order they ran.
+        points_out: points written.
+        base_bytes: peak resident memory before the first run, with all libraries and the model.
+        peak_bytes: peak resident memory after the last.
+        accuracy: of our output.
+        rival_cpu_seconds: processor time of the rival's fastest run, bytes to bytes.
+        rival_accuracy: of its output.
+        gflops: data type -> 10^9 operations a second of this core, median around the runs.
+    """
+
+    case: Case
+    seconds: float
+    cpu_seconds: float
+    slowest: float
+    stages: dict[str, float]
+    points_out: int
+    base_bytes: int
+    peak_bytes: int
+    accuracy: Accuracy
+    rival_cpu_seconds: float
+    rival_accuracy: Accuracy
+    gflops: dict[str, float]
+
+    @property
+    def rate(self) -> float:
+        """Output points a second of processor time."""
+        return self.points_out / self.cpu_seconds
+
+    @property
+    def rival_rate(self) -> float:
+        """The rival's output points a second of processor time."""
+        return self.points_out / self.rival_cpu_seconds
+
+    def to_json(self) -> str:
+        """The inverse of :meth:`from_json`."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The inverse of :meth:`to_json`."""
+        raw = json.loads(text)
+        return cls(
+            **{
+                **raw,
+                "case": Case(**raw["case"]),
+                "accuracy": Accuracy(**raw["accuracy"]),
+                "rival_accuracy": Accuracy(**raw["rival_accuracy"]),
+            }
+        )
+
+
+ALL = (Case(5_000, 4, 5), Case(20_000, 4, 3), Case(100_000, 4, 2), Case(5_000, 16, 3))
+QUICK = (Case(5_000, 4, 1), Case(20_000, 4, 1))
