@@ -14,7 +14,7 @@ INSTALL := $(PIP) install -qq --constraint constraints.txt
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test serve lint format train bench constraints clean
+.PHONY: help install demo test test-long serve lint format train bench constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -24,8 +24,11 @@ install: $(VENV)/.installed-dev ## make .venv with everything that developing ne
 demo: $(VENV)/.installed-demo ## start the service, upsample an example, draw out/before_after.png
 	@$(BIN)/python examples/demo.py $(ARGS)
 
-test: $(VENV)/.installed-dev ## run all tests (ARGS="-m 'not slow'" leaves the slow ones out)
-	@$(BIN)/python -m pytest $(ARGS)
+test: $(VENV)/.installed-dev ## run the tests (ARGS="-m 'not slow and not long'": the quick ones)
+	@$(BIN)/python -m pytest -m 'not long' $(ARGS)
+
+test-long: $(VENV)/.installed-dev ## run the tests that take minutes
+	@$(BIN)/python -m pytest -m long $(ARGS)
 
 serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
 	@$(BIN)/python -m pugeo_service $(ARGS)

@@ -62,14 +62,15 @@ class Figures:
         cpu_seconds: processor time of that run: what ``seconds`` would be if the core had been
             ours alone. Ratios are made of it.
         slowest: slowest timed run.
-        stages: stage -> seconds of the fastest run, in the order they ran.
+        stages: stage -> processor time of it in the fastest run, in the order they ran.
         points_out: points written.
         base_bytes: peak resident memory before the first run, with all libraries and the model.
         peak_bytes: peak resident memory after the last.
         accuracy: of our output.
         rival_cpu_seconds: processor time of the rival's fastest run, bytes to bytes.
         rival_accuracy: of its output.
-        gflops: data type -> 10^9 operations a second of this core, median around the runs.
+        gflops: data type -> 10^9 operations a second of this core, fastest of three times around
+            the runs: whoever shares the core can only make it slower.
     """
 
     case: Case

@@ -81,11 +81,11 @@ def _stages(figures: Sequence[Figures]) -> list[str]:
     rows = [
         (
             each.case.name,
-            *(f"{100 * each.stages.get(name, 0.0) / each.seconds:.1f} %" for name in names),
+            *(f"{100 * each.stages.get(name, 0.0) / each.cpu_seconds:.1f} %" for name in names),
         )
         for each in figures
     ]
-    return _table(("share of the time", *names), rows)
+    return _table(("share of the processor time", *names), rows)
 
 
 def _beside(figures: Sequence[Figures]) -> list[str]:

@@ -77,7 +77,8 @@ def test_sigterm_drains(launch: Any) -> None:
         assert accepted.response.headers["pugeo-points-out"] == "120000"
 
 
-def test_sigterm_while_starting(launch: Any) -> None:
+@pytest.mark.parametrize("moment", [0.0, 0.6, 1.2, 2.4])
+def test_sigterm_while_starting(launch: Any, moment: float) -> None:
     """A service that is told to end before it was ready ends in good order."""
     with launch() as server:
         assert httpx2.get(f"{server.url}/health/live").status_code == 200
@@ -86,8 +87,9 @@ def test_sigterm_while_starting(launch: Any) -> None:
         assert httpx2.get(f"{server.url}/health").json()["status"] == "not_ready"
         refused = httpx2.post(f"{server.url}/upsample", content=SMALL)
         assert (refused.status_code, refused.json()["code"]) == (503, "no_worker")
-        time.sleep(1)
+        time.sleep(moment)
         assert server.stop(40) == 0
+        assert "Traceback" not in server.log.read_text()
 
 
 def test_full_and_late(launch: Any) -> None:

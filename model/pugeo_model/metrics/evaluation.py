@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures of the network on fixed samples of shapes it was not trained on."""
+"""Measures of upsampling methods on fixed samples of shapes that were not trained on."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import igl
@@ -20,10 +21,24 @@ from pugeo_model.metrics.clouds import (
     nearest_both,
     sphere_distances,
 )
+from pugeo_model.metrics.reconstruction import Mesh, reconstruct
 from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.training.corpus import face_normals, poisson_disk
+from pugeo_model.training.corpus import face_normals, poisson_disk, uniform
 
-__all__ = ["CASES", "COLUMNS", "Case", "evaluate", "limit", "mean_row", "measure"]
+__all__ = [
+    "CASES",
+    "COLUMNS",
+    "Case",
+    "Measured",
+    "Method",
+    "Truth",
+    "evaluate",
+    "limit",
+    "mean_row",
+    "measure",
+    "measure_surface",
+    "truths",
+]
 
 COLUMNS = (
     "CD",
@@ -36,9 +51,18 @@ COLUMNS = (
     "normal_mean",
     "normal_rms",
     "normal_below_10",
+    "outward",
     "evenness",
+    "CD#",
+    "HD#",
+    "JSD#",
 )
-"""CD, HD, JSD in 1e-2; P2F, sCD, sHD in 1e-3; normals in degrees, their share in percent."""
+"""CD, HD, JSD in 1e-2; P2F, sCD, sHD in 1e-3; normals in degrees, shares of them in percent."""
+
+_SURFACE_SAMPLES = 200_000
+
+Method = Callable[[Cloud, float], Cloud]
+"""Input and ratio to a dense cloud."""
 
 
 @dataclass(frozen=True)
@@ -72,22 +96,78 @@ CASES = (
 
 
 class Truth:
-    """A mesh and its nearest points."""
+    """A mesh, its nearest points and its samples.
+
+    Args:
+        path: a triangle mesh, longest side 1.
+    """
 
     def __init__(self, path: Path) -> None:
         vertices, faces = igl.read_triangle_mesh(str(path))
+        self.name = path.stem
         self.vertices, self.faces = vertices.astype(np.float64), faces.astype(np.int64)
         self.normals = face_normals(self.vertices, self.faces)
         self.distance = MeshDistance(self.vertices, self.faces)
 
+    @cached_property
+    def sample(self) -> NDArray[np.float64]:
+        """The 200,000 uniform samples that reconstructed surfaces are compared with."""
+        rng = np.random.default_rng(_SURFACE_SAMPLES)
+        return uniform(self.vertices, self.faces, _SURFACE_SAMPLES, rng)
+
+    def even(self, count: int) -> Cloud:
+        """An independent Poisson-disk sample with its true normals: what no method can beat."""
+        rng = np.random.default_rng(count)
+        points = poisson_disk(self.vertices, self.faces, count, rng)
+        _, face, _ = self.distance.nearest(points)
+        return Cloud(points, normals=self.normals[face].astype(np.float32))
+
+
+def truths(meshes: Path) -> Iterator[Truth]:
+    """All ``NAME.ply`` of a folder, by name.
+
+    Raises:
+        FileNotFoundError: the folder has none.
+    """
+    found = sorted(meshes.glob("*.ply"))
+    if not found:
+        raise FileNotFoundError(f"no NAME.ply in {meshes}")
+    return map(Truth, found)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What one method made of one input.
+
+    Attributes:
+        case: the input and the ratio.
+        truth: the shape.
+        row: columns and, of methods, the ``seconds`` taken.
+        dense: the dense cloud.
+        surface: the surface reconstructed from it, where that was asked for.
+    """
+
+    case: Case
+    truth: Truth
+    row: dict[str, float]
+    dense: Cloud
+    surface: Mesh | None
+
 
 def measure(
     points: NDArray[np.float64],
-    normals: NDArray[np.float32] | None,
+    normals: NDArray[np.floating] | None,
     reference: NDArray[np.float64],
     truth: Truth,
 ) -> dict[str, float]:
-    """All columns for one dense cloud; normals' columns are absent where there are none."""
+    """All columns but those of the reconstructed surface.
+
+    Args:
+        points: ``(K, 3)``.
+        normals: ``(K, 3)`` unit; without them their columns are absent.
+        reference: ``(K, 3)`` even sample of the surface.
+        truth: the surface.
+    """
     there, back = nearest_both(points, reference)
     distance, face, _ = truth.distance.nearest(points)
     sphere_mean, sphere_max = sphere_distances(points, reference)
@@ -102,59 +182,91 @@ def measure(
         "evenness": evenness(points),
     }
     if normals is not None:
-        cosine = np.abs((normals * truth.normals[face]).sum(axis=1)).clip(0.0, 1.0)
-        angle = np.degrees(np.arccos(cosine))
+        true = truth.normals[face]
+        cosine = (normals * true).sum(axis=1)
+        # Not arccos: near 0 degrees it turns float32's last bit into a fiftieth of a degree.
+        angle = np.degrees(
+            np.arctan2(np.linalg.norm(np.cross(normals, true), axis=1), np.abs(cosine))
+        )
         row["normal_mean"] = float(angle.mean())
         row["normal_rms"] = float(np.sqrt((angle**2).mean()))
         row["normal_below_10"] = 100.0 * float((angle < 10.0).mean())
+        row["outward"] = 100.0 * float((cosine > 0.0).mean())
     return row
 
 
+def measure_surface(surface: Mesh, truth: Truth) -> dict[str, float]:
+    """CD#, HD#, JSD#: 200,000 samples of a reconstructed surface against as many of the true one.
+
+    Samples are independent, so that CD# of a perfect surface is not 0 but what two samples of
+    the same surface have, about half of ``sqrt(area / 200000)``.
+    """
+    points = uniform(*surface, _SURFACE_SAMPLES, np.random.default_rng(0))
+    there, back = nearest_both(points, truth.sample)
+    return {
+        "CD#": 1e2 * chamfer(there, back),
+        "HD#": 1e2 * hausdorff(there, back),
+        "JSD#": 1e2 * jensen_shannon(points, truth.sample),
+    }
+
+
 def evaluate(
-    upsample: Callable[[Cloud, float], Cloud],
-    meshes: Path,
+    method: Method,
+    shapes: Sequence[Truth],
     samples: Path,
     cases: Sequence[Case] = CASES,
-) -> Iterator[tuple[Case, str, dict[str, float]]]:
-    """Measure case by case and shape by shape.
+    *,
+    surfaces: bool = False,
+) -> Iterator[Measured]:
+    """Measure a method case by case and shape by shape.
 
     Args:
-        upsample: the method.
-        meshes: folder of ``NAME.ply``, longest side 1.
+        method: the method.
+        shapes: the true surfaces.
         samples: folder with ``inputs/NAME_kind.ply`` and ``gt/NAME_count.ply``.
         cases: rows wanted.
-
-    Yields:
-        Case, shape, and its columns with the ``seconds`` taken.
+        surfaces: reconstruct surfaces and measure these too.
     """
-    truths = {path.stem: Truth(path) for path in sorted(meshes.glob("*.ply"))}
     for case in cases:
-        for name, truth in truths.items():
-            cloud = read(samples / "inputs" / f"{name}_{case.kind}.ply")
-            reference = read(samples / "gt" / f"{name}_{case.reference}.ply").points
+        for truth in shapes:
+            cloud = read(samples / "inputs" / f"{truth.name}_{case.kind}.ply")
             begun = time.perf_counter()
-            dense = upsample(cloud, case.ratio)
+            dense = method(cloud, case.ratio)
             seconds = time.perf_counter() - begun
-            row = measure(
-                dense.points.astype(np.float64),
-                dense.normals,
-                reference.astype(np.float64),
-                truth,
-            )
-            yield case, name, {**row, "seconds": seconds}
+            row, surface = _measure_both(dense, case, truth, samples, surfaces=surfaces)
+            yield Measured(case, truth, {**row, "seconds": seconds}, dense, surface)
 
 
 def limit(
-    meshes: Path, samples: Path, cases: Sequence[Case] = CASES
-) -> Iterator[tuple[Case, str, dict[str, float]]]:
-    """The same columns for an independent Poisson-disk sample of the true mesh."""
-    for path in sorted(meshes.glob("*.ply")):
-        truth = Truth(path)
-        for case in cases:
-            rng = np.random.default_rng(case.reference)
-            points = poisson_disk(truth.vertices, truth.faces, case.reference, rng)
-            reference = read(samples / "gt" / f"{path.stem}_{case.reference}.ply").points
-            yield case, path.stem, measure(points, None, reference.astype(np.float64), truth)
+    shapes: Sequence[Truth],
+    samples: Path,
+    cases: Sequence[Case] = CASES,
+    *,
+    surfaces: bool = False,
+) -> Iterator[Measured]:
+    """The same for an independent Poisson-disk sample of the true mesh; see :func:`evaluate`.
+
+    It does not depend on the input: cases with references of one size share its rows.
+    """
+    for count in dict.fromkeys(case.reference for case in cases):
+        alike = [case for case in cases if case.reference == count]
+        for truth in shapes:
+            dense = truth.even(count)
+            row, surface = _measure_both(dense, alike[0], truth, samples, surfaces=surfaces)
+            for case in alike:
+                yield Measured(case, truth, row, dense, surface)
+
+
+def _measure_both(
+    dense: Cloud, case: Case, truth: Truth, samples: Path, *, surfaces: bool
+) -> tuple[dict[str, float], Mesh | None]:
+    reference = read(samples / "gt" / f"{truth.name}_{case.reference}.ply").points
+    points = dense.points.astype(np.float64)
+    row = measure(points, dense.normals, reference.astype(np.float64), truth)
+    if not surfaces or dense.normals is None:
+        return row, None
+    surface = reconstruct(points, dense.normals)
+    return {**row, **measure_surface(surface, truth)}, surface
 
 
 def mean_row(rows: Sequence[dict[str, float]]) -> dict[str, float]:

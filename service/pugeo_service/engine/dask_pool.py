@@ -45,6 +45,7 @@ _ONE_THREAD = dict.fromkeys(
 _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
 _SILENCE_S = 10.0
+_RISE_S = 30.0
 
 
 class DaskPool:
@@ -53,6 +54,7 @@ class DaskPool:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._cluster: Any = None
+        self._rising: asyncio.Future[Any] | None = None
         self._client: Any = None
         self._poll: asyncio.Task[None] | None = None
         self._workers: frozenset[str] = frozenset()
@@ -83,8 +85,10 @@ class DaskPool:
                 local_directory=str(settings.spool_dir),
                 env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
             )
-            # Known before it runs, so that `stop` can end one that never came up.
-            await self._cluster
+            # Whoever cancels the start does not cancel this: a cluster can be closed when it is
+            # up, or before it began, but not in between.
+            self._rising = asyncio.ensure_future(self._cluster)
+            await asyncio.shield(self._rising)
         await self._connect()
         await self._connected.wait_for_workers(1)
         await self._look()
@@ -98,6 +102,8 @@ class DaskPool:
                 await self._poll
         if self._client is not None:
             await self._client.close()
+        if self._rising is not None:
+            await asyncio.wait({self._rising}, timeout=_RISE_S)
         if self._cluster is not None:
             await self._cluster.close()
 

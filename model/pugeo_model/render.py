@@ -69,6 +69,7 @@ def splat(
     *,
     radius: float,
     normals: Floats | None = None,
+    lit: bool = True,
 ) -> Floats:
     """Draw a cloud: with normals as a lit surface, without them as dots.
 
@@ -81,6 +82,7 @@ def splat(
         colors: ``(M, 3)``, linear RGB in [0, 1].
         radius: of each disc, cloud units; of a dot's hidden part three times as much.
         normals: ``(M, 3)`` of unit length, or None. Only their axis matters.
+        lit: shade what has normals; without it colours stay readable against a colour bar.
 
     Returns:
         ``(pixels, pixels, 3)`` RGB in [0, 1], gamma corrected.
@@ -100,7 +102,7 @@ def splat(
         facing = normals @ rotation.T
         facing = np.where(facing[:, 2:] < 0, -facing, facing)
         fragments = _fragments(seen, facing, radius, scale, side)
-        shaded = _light(colors, facing)
+        shaded = _light(colors, facing) if lit else colors
     pixel, depth, weight, owner = fragments
     nearest = np.full(side * side, -np.inf)
     np.maximum.at(nearest, pixel, depth)
@@ -113,7 +115,7 @@ def splat(
     image = np.broadcast_to(BACKGROUND, (side * side, 3)).copy()
     image[covered] = np.stack(channels, axis=1)[covered] / total[covered, None]
     image = image.reshape(side, side, 3)
-    if normals is not None:
+    if normals is not None and lit:
         image *= np.where(covered, _crevices(nearest, side, camera.reach), 1).reshape(side, side, 1)
     small = image.reshape(camera.pixels, SUPERSAMPLING, camera.pixels, SUPERSAMPLING, 3)
     return np.asarray(np.clip(small.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2))

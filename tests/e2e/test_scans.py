@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real sensor files, through the service and the SDK."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+
+from pugeo_client import Client
+from pugeo_model import Cloud
+from pugeo_model.clean import clean
+from pugeo_model.formats import read, write
+
+SCANS = Path(__file__).resolve().parents[3] / "shared" / "scans"
+
+pytestmark = pytest.mark.skipif(
+    not SCANS.is_dir(), reason="the real scans lie beside the repository in ../shared/scans"
+)
+
+
+class Server(Protocol):
+    """What the fixture `server` gives."""
+
+    url: str
+
+
+def kitti() -> Cloud:
+    """A Velodyne frame: x, y, z in metres and reflectance."""
+    raw = np.fromfile(SCANS / "kitti_000008.bin", dtype=np.float32).reshape(-1, 4)
+    return Cloud(raw[:, :3].copy(), scalars={"intensity": raw[:, 3].copy()})
+
+
+def laurana() -> Cloud:
+    """One view of a triangulation scanner, with a camera element and faces."""
+    return read(SCANS / "laurana_range_000.ply")
+
+
+def autzen() -> Cloud:
+    """Airborne LiDAR in projected coordinates, with colours and classes."""
+    laspy: Any = pytest.importorskip("laspy", reason="LAS files need laspy")
+    las = laspy.read(SCANS / "autzen_trim.las")
+    return Cloud(
+        np.stack([las.x, las.y, las.z], axis=1).astype(np.float64),
+        colors=(np.stack([las.red, las.green, las.blue], axis=1) >> 8).astype(np.uint8),
+        scalars={"classification": np.asarray(las.classification).astype(np.int32)},
+    )
+
+
+def office() -> Cloud:
+    """A Kinect frame in which missing returns are NaN."""
+    pypcd4: Any = pytest.importorskip("pypcd4", reason="PCD files need pypcd4")
+    frame = pypcd4.PointCloud.from_path(SCANS / "office1.pcd")
+    colors = pypcd4.PointCloud.decode_rgb(frame.pc_data["rgb"])
+    return Cloud(frame.numpy(("x", "y", "z")).astype(np.float32), colors=colors.astype(np.uint8))
+
+
+@pytest.mark.parametrize(
+    "scan",
+    [
+        kitti,
+        laurana,
+        pytest.param(autzen, marks=pytest.mark.long),
+        pytest.param(office, marks=pytest.mark.long),
+    ],
+)
+def test_eight_times_a_real_scan(server: Server, tmp_path: Path, scan: Callable[[], Cloud]) -> None:
+    """A scan comes back with exactly eight points for each that is left after cleaning."""
+    cloud = scan()
+    kept, dropped = clean(cloud)
+    write(cloud, tmp_path / "scan.ply")
+    with Client(server.url, timeout=580) as client:
+        result = client.upsample(tmp_path / "scan.ply", ratio=8)
+    assert result.points.shape == (8 * len(kept), 3)
+    assert result.points.dtype == cloud.points.dtype
+    assert result.meta.dropped == {
+        "non_finite": dropped.non_finite,
+        "duplicate": dropped.duplicate,
+    }
+    assert np.isfinite(result.points).all()
+    assert result.normals is not None
+    np.testing.assert_allclose(np.linalg.norm(result.normals, axis=1), 1, atol=1e-4)
+    assert (result.colors is None) == (cloud.colors is None)
+    assert set(result.scalars) == set(cloud.scalars)
+    # Nothing flies off: the dense cloud fills the sparse one's box and little more.
+    low, high = kept.points.min(axis=0), kept.points.max(axis=0)
+    margin = 0.02 * (high - low).max()
+    assert (result.points > low - margin).all()
+    assert (result.points < high + margin).all()
