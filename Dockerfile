@@ -17,7 +17,7 @@ RUN --mount=type=cache,target=/root/.cache/pip \
 RUN --mount=type=cache,target=/root/.cache/pip \
     python deploy/requirements.py server > requirements.txt \
     && pip install --constraint constraints.txt --requirement requirements.txt hatchling
-COPY LICENSE ./
+COPY LICENSE README.md ./
 COPY client client
 COPY model model
 COPY service service

@@ -57,7 +57,7 @@ class AsyncClient:
     async def upsample(
         self,
         src: Source,
-        ratio: float = 8,
+        ratio: float = 4,
         *,
         n_points: int | None = None,
         orient: str = "auto",
@@ -84,7 +84,7 @@ class AsyncClient:
         return await self._call(request, sink, timeout=timeout, on_progress=on_progress)
 
     async def map(
-        self, sources: Iterable[Source], ratio: float = 8, *, concurrency: int = 4, **options: Any
+        self, sources: Iterable[Source], ratio: float = 4, *, concurrency: int = 4, **options: Any
     ) -> AsyncIterator[Result]:
         """Make many clouds denser, a few at a time, and give the results in order.
 

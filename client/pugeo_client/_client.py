@@ -58,7 +58,7 @@ class Client:
     def upsample(
         self,
         src: Source,
-        ratio: float = 8,
+        ratio: float = 4,
         *,
         n_points: int | None = None,
         orient: str = "auto",
@@ -110,7 +110,7 @@ class Client:
         return self._call(request, sink, timeout=timeout, on_progress=on_progress)
 
     def map(
-        self, sources: Iterable[Source], ratio: float = 8, *, concurrency: int = 4, **options: Any
+        self, sources: Iterable[Source], ratio: float = 4, *, concurrency: int = 4, **options: Any
     ) -> Iterator[Result]:
         """Make many clouds denser, a few at a time, and give the results in order.
 
@@ -206,7 +206,7 @@ class Client:
             raise attempts.translate(error) from error
 
 
-def upsample(src: Source, ratio: float = 8, **options: Any) -> Result:
+def upsample(src: Source, ratio: float = 4, **options: Any) -> Result:
     """Make one cloud denser with the service at ``PUGEO_URL``; see `Client.upsample`."""
     with Client() as client:
         return client.upsample(src, ratio, **options)

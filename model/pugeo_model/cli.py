@@ -25,6 +25,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 _console = Console(stderr=True)
 
@@ -79,11 +80,15 @@ def upsample(
     ] = None,
 ) -> None:
     """Write a cloud with R times as many points, each with a normal."""
-    from pugeo_model.formats import read, write
+    from pugeo_model.formats import FORMATS, read, write, written_as
     from pugeo_model.pipeline import Options, Upsampler
 
     where = _numbers(viewpoint)
-    Options(ratio, n_points, orient, where, seed)  # before a long read, not after it
+    # What can be refused at once is refused before the work, not after it.
+    Options(ratio, n_points, orient, where, seed)
+    kind = format or written_as(out)
+    if kind not in FORMATS:
+        raise typer.BadParameter(f"must be one of {', '.join(FORMATS)}", param_hint="--format")
     cloud = read(source)
     upsampler = Upsampler(model)
     with _bar() as bar:
@@ -99,7 +104,7 @@ def upsample(
                 task, description=stage, completed=done, total=total
             ),
         )
-    write(result.cloud, out, format=format)
+    write(result.cloud, out, format=kind)
     report = result.report
     dropped = report["dropped"]
     _console.print(
@@ -130,7 +135,7 @@ def train(
     meshes: Annotated[Path, typer.Argument(help="Folder of training meshes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the run; resumed if used.")],
     val: Annotated[Path | None, typer.Option(help="Folder of meshes never trained on.")] = None,
-    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 16_000,
+    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 14_000,
     seed: Annotated[int, typer.Option(help="Of weights and batches.")] = 0,
     threads: Annotated[int, typer.Option(help="Torch threads.")] = 1,
     name: Annotated[str, typer.Option(help="Name in the model card.")] = "standard",
@@ -168,19 +173,46 @@ def evaluate(
     model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
         "standard"
     ),
+    case: Annotated[
+        list[str] | None, typer.Option(help="Only this input, such as '5000 x4'; repeatable.")
+    ] = None,
+    baselines: Annotated[
+        bool, typer.Option("--baselines", help="Measure methods without learning too.")
+    ] = False,
+    reconstruct: Annotated[
+        bool, typer.Option("--reconstruct", help="Measure reconstructed surfaces too.")
+    ] = False,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="JSON of all figures.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Folder for a report with pictures of every shape.")
+    ] = None,
     card: Annotated[bool, typer.Option(help="Write the means into the model card.")] = False,
 ) -> None:
     """Measure points and normals on fixed samples; the limit row is the true surface's own."""
-    from pugeo_model.metrics.report import evaluate_all
+    try:
+        from pugeo_model.metrics.evaluation import CASES
+        from pugeo_model.metrics.report import evaluate_all, require
 
+        require(surfaces=reconstruct, pictures=report is not None)
+    except ModuleNotFoundError as missing:
+        raise typer.BadParameter(
+            f"this needs {missing.name}, which comes with: pip install 'pugeo[evaluate]'"
+        ) from missing
+    known = {each.name: each for each in CASES}
+    unknown = [name for name in case or () if name not in known]
+    if unknown:
+        raise typer.BadParameter(f"no case {unknown[0]!r}: give one of {', '.join(known)}")
     with _bar() as bar:
         task = bar.add_task("evaluate", total=None)
         table = evaluate_all(
             model,
             meshes,
             samples,
-            out,
+            cases=[known[name] for name in case] if case else CASES,
+            compare=baselines,
+            surfaces=reconstruct,
+            out=out,
+            report=report,
             card=card,
             tick=lambda label, done, total: bar.update(
                 task, description=label, completed=done, total=total

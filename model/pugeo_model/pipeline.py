@@ -26,7 +26,7 @@ from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import BadOption
 from pugeo_model.finish.attributes import carry
-from pugeo_model.finish.orientation import METHODS, orient, propagate
+from pugeo_model.finish.orientation import DIRECT, METHODS, orient, propagate
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
@@ -57,6 +57,8 @@ MOST = 32.0
 """Largest ratio."""
 
 _OVERSAMPLE = 1.5  # candidates a point wanted
+_TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
+_NONE = np.empty((0, 0), dtype=np.int32)
 _FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
 
 
@@ -95,6 +97,10 @@ class Options:
             _refuse("viewpoint", None, "given where orient is 'viewpoint'")
         if not 0 <= self.seed < 2**63:
             _refuse("seed", self.seed, "a whole number from 0 to 2^63 - 1")
+
+    def points_out(self, count: int) -> int:
+        """Output points for ``count`` input points: exactly round(R M), halves up."""
+        return self.n_points or math.floor(self.ratio * count + 0.5)
 
 
 def _refuse(name: str, value: Any, wanted: str, **fields: Any) -> None:
@@ -152,7 +158,7 @@ def prepare(cloud: Cloud, options: Options) -> Job:
     cleaned, dropped = clean(cloud)
     points, placement = normalise(cleaned.points)
     count = len(points)
-    n_out = options.n_points or math.floor(options.ratio * count + 0.5)
+    n_out = options.points_out(count)
     if not count <= n_out <= MOST * count:
         _refuse(
             "n_points",
@@ -262,14 +268,18 @@ def finish(job: Job, points: Sequence[Landed]) -> Result:
         options.orient,
         viewpoint,
         cloud.normals,
-        job.neighbours,
+        job.neighbours[:, :_TREE],
     )
+    if method in DIRECT:
+        normals, _ = orient(landed.points, landed.normals, method, viewpoint, None, _NONE)
+    else:
+        normals = propagate(landed.normals, landed.nearest, signs)
     colors, scalars = carry(
         Cloud(job.points, colors=cloud.colors, scalars=cloud.scalars), landed.points
     )
     dense = Cloud(
         points=job.placement.world(landed.points),
-        normals=propagate(landed.normals, landed.nearest, signs),
+        normals=normals,
         colors=colors,
         scalars=scalars,
         notes=cloud.notes,

@@ -122,6 +122,16 @@ def test_attributes_ride_along(upsampler, sphere):
     assert set(np.unique(dense.scalars["side"])) == {0, 1}
 
 
+def test_every_normal_faces_the_viewpoint(upsampler, sphere):
+    """With a viewpoint no dense normal looks away from it, however the surface lies."""
+    where = (0.3, 0.2, 1.4)
+    for ratio in (1, 4):
+        result = upsampler(sphere, ratio, viewpoint=where)
+        assert result.report["orient"] == "viewpoint"
+        facing = (result.cloud.normals * (np.array(where) - result.cloud.points)).sum(axis=1)
+        assert facing.min() > -1e-6
+
+
 def test_dropped_points_are_counted(upsampler, sphere):
     """NaN rows and duplicates go, the report says how many, and the count follows what is left."""
     dirty = np.concatenate([sphere, sphere[:5], np.full((3, 3), np.nan)])

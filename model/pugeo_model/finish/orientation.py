@@ -19,9 +19,11 @@ from scipy.sparse.csgraph import (
 
 from pugeo_model.errors import BadOption
 
-__all__ = ["METHODS", "orient", "propagate"]
+__all__ = ["DIRECT", "METHODS", "orient", "propagate"]
 
 METHODS = ("auto", "input", "viewpoint", "mst", "outward", "none")
+DIRECT = ("viewpoint", "outward", "none")
+"""Methods that look at each point alone, so that dense normals need no sparse ones."""
 
 # Keeps edges between equal normals in the graph, where a weight of zero would be no edge.
 _LEAST_WEIGHT = 1e-6

@@ -10,11 +10,11 @@ from typing import IO, Protocol
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import MalformedFile, UnsupportedFormat
-from pugeo_model.formats import json_points, npz, ply, ply_ascii, xyz
+from pugeo_model.formats import json_points, npy, npz, ply, ply_ascii, xyz
 from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
-__all__ = ["FORMATS", "Format", "Limits", "detect", "read", "write"]
+__all__ = ["FORMATS", "Format", "Limits", "detect", "read", "write", "written_as"]
 
 
 class Format(Protocol):
@@ -41,7 +41,7 @@ class Format(Protocol):
 
 
 # Asked in this order: what is recognised by less comes later.
-_MODULES: tuple[Format, ...] = (ply_ascii, ply, npz, json_points, xyz)
+_MODULES: tuple[Format, ...] = (ply_ascii, ply, npz, npy, json_points, xyz)
 
 FORMATS: dict[str, Format] = {module.NAME: module for module in _MODULES}
 
@@ -118,17 +118,27 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
     """
     if isinstance(target, str | os.PathLike):
         path = os.fspath(target)
-        key = format or _by_extension(path)
-        if key is None and Path(path).suffix:
-            raise UnsupportedFormat(
-                f"No format has the extension of {Path(path).name!r}. Writable are {_known()}.",
-                formats=list(FORMATS),
-            )
-        module = _named(key or "ply")
+        module = _named(format or written_as(path))
         with replacing(path) as file:
             module.write(cloud, file)
     else:
         _named(format or "ply").write(cloud, target)
+
+
+def written_as(path: str | os.PathLike[str]) -> str:
+    """The format that `write` takes for a path: by its extension, ``"ply"`` without one.
+
+    Raises:
+        UnsupportedFormat: an extension that belongs to none.
+    """
+    name = os.fspath(path)
+    key = _by_extension(name)
+    if key is None and Path(name).suffix:
+        raise UnsupportedFormat(
+            f"No format has the extension of {Path(name).name!r}. Writable are {_known()}.",
+            formats=list(FORMATS),
+        )
+    return key or "ply"
 
 
 def _named(name: str) -> Format:

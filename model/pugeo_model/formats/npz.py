@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NumPy archives (``.npz``) and single arrays (``.npy``), without pickles."""
+"""NumPy archives (``.npz``), without pickles; reads single arrays (``.npy``) as well."""
 
 import math
 import re
@@ -22,21 +22,21 @@ from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.limits import Limits
 from pugeo_model.formats.stream import bytes_left
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "NPY_MAGIC", "read", "sniff", "write"]
 
 NAME = "npz"
-EXTENSIONS: tuple[str, ...] = (".npz", ".npy")
-MEDIA_TYPES: tuple[str, ...] = ("application/x-npz", "application/x-npy")
+EXTENSIONS: tuple[str, ...] = (".npz",)
+MEDIA_TYPES: tuple[str, ...] = ("application/x-npz",)
 
-_NPY = b"\x93NUMPY"
+NPY_MAGIC = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
 _KNOWN = ("points", "normals", "colors")
 _READ_BYTES = 1 << 20
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an array or an archive."""
-    return head.startswith((_NPY, _ZIP))
+    """Whether a file with these first bytes is an archive."""
+    return head.startswith(_ZIP)
 
 
 def read(file: IO[bytes], limits: Limits) -> Cloud:
@@ -54,9 +54,9 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         MalformedFile: truncated, pickled, of a wrong shape or type.
         LimitExceeded: more points or bytes than ``limits``.
     """
-    head = file.read(len(_NPY))
+    head = file.read(len(NPY_MAGIC))
     file.seek(-len(head), 1)
-    if head != _NPY:
+    if head != NPY_MAGIC:
         return _read_archive(file, limits)
     with _as_malformed("The array"):
         declared = _declared(file, "array")

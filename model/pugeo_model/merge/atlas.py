@@ -80,13 +80,11 @@ class Landed:
     Attributes:
         points: ``(m, 3)`` float64, unit scale.
         normals: ``(m, 3)`` float32 unit, sign that of the nearest chart's frame.
-        log_error: ``(m,)`` float32, logarithm of the expected error in spacings.
         nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
-    log_error: NDArray[np.float32]
     nearest: NDArray[np.int32]
 
     @classmethod
@@ -95,7 +93,6 @@ class Landed:
         return cls(
             np.concatenate([part.points for part in parts]),
             np.concatenate([part.normals for part in parts]),
-            np.concatenate([part.log_error for part in parts]),
             np.concatenate([part.nearest for part in parts]),
         )
 

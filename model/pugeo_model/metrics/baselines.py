@@ -6,7 +6,6 @@ an even disk of candidates on every point's chart, the same merge, the same orie
 network adds is the distance to them. ``poisson`` samples a reconstructed surface anew.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -86,14 +85,14 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     Raises:
         ModuleNotFoundError: pycolmap is not installed.
     """
-    job = prepare(cloud, Options(ratio=1.0))
+    job = prepare(cloud, Options(1.0))
     charts = _jets(job)
     rows = np.arange(len(job.points), dtype=np.int32)
     _, normals = charts.lift(rows, np.zeros((len(rows), 2)))
-    sparse = finish(job, [_landed(job.points, normals, rows)]).cloud
+    sparse = finish(job, [Landed(job.points, normals, rows)]).cloud
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
-    wanted = math.floor(ratio * len(sparse) + 0.5)
+    wanted = Options(ratio).points_out(len(sparse))
     points = poisson_disk(vertices, faces, wanted, np.random.default_rng(0))
     _, face, _ = MeshDistance(vertices, faces).nearest(points)
     return Cloud(points, normals=face_normals(vertices, faces)[face].astype(np.float32))
@@ -101,7 +100,7 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
 
 def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Cloud:
     """The way of a cloud with charts that nothing was learned for."""
-    job = prepare(cloud, Options(ratio=ratio))
+    job = prepare(cloud, Options(ratio))
     charts = fit(job)
     owner = np.repeat(np.arange(len(job.points), dtype=np.int32), job.candidates)
     pattern = np.tile(_DISK * disk(job.candidates).astype(np.float64), (len(job.points), 1))
@@ -117,7 +116,7 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
     )
     owner = nearest_charts(spots, owner, job.points, job.neighbours, 1)[:, 0]
     points, normals = charts.lift(owner, charts.parametrise(owner, spots))
-    return finish(job, [_landed(points, normals, owner)]).cloud
+    return finish(job, [Landed(points, normals, owner)]).cloud
 
 
 def _planes(job: Job) -> _Charts:
@@ -139,9 +138,3 @@ def _jets(job: Job) -> _Charts:
     return _Charts(
         job.points, frames.axes.astype(np.float64), frames.spacing.astype(np.float64), quadric
     )
-
-
-def _landed(
-    points: NDArray[np.float64], normals: NDArray[np.float32], nearest: NDArray[np.int32]
-) -> Landed:
-    return Landed(points, normals, np.zeros(len(points), dtype=np.float32), nearest)

@@ -29,6 +29,7 @@ FAR = 2e-3
 Floats = NDArray[np.float64]
 
 _PIXELS = 520
+_TILT = 20.0  # degrees, looking down
 _CLAY = np.array([0.62, 0.60, 0.56])
 _COLORS = colormaps["turbo"]
 _SURFACE_SAMPLES = 200_000
@@ -47,7 +48,7 @@ def draw(measured: Measured, target: Path) -> None:
     points, normals = dense.points.astype(np.float64), dense.normals.astype(np.float64)
     distance, _, _ = measured.truth.distance.nearest(points)
     turn = _upright(measured.truth.vertices)
-    camera = Camera.on(measured.truth.vertices @ turn.T, pixels=_PIXELS)
+    camera = Camera.on(measured.truth.vertices @ turn.T, tilt=_TILT, pixels=_PIXELS)
     row = measured.row
     clay = np.broadcast_to(_CLAY, points.shape)
     points, normals = points @ turn.T, normals @ turn.T

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Surfaces from points and normals: screened Poisson reconstruction (Kazhdan and Hoppe 2013).
 
-The authors' own code does the work, as COLMAP ships it. It takes and gives files, and leaves one
-parameter at its default that the protocol sets to 1: 1.5 samples a node. MeshLab's build of an
-older version of the code, which has the parameter, shows that this is without effect: with 1 and
-with 1.5 the columns of the limit differ by less than they do between the two builds.
+The authors' own code does the work, as COLMAP ships it. It takes and gives files and keeps one
+parameter, samples a node, at 1.5. The protocol says 1, which MeshLab's build of the code can: on
+samples of five true shapes with true normals, CD# of the two differs by at most 0.5 % at 80,000
+points and 3 % at 20,000, in either direction.
 """
 
 from pathlib import Path

@@ -1,82 +1,187 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The evaluation as tables: for a person, for a program, for the model card."""
+"""The evaluation of a model: tables for a person, JSON for a program, means for the model card."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pugeo_model.metrics.evaluation import CASES, COLUMNS, evaluate, limit, mean_row
+from pugeo_model.metrics import baselines, reconstruction
+from pugeo_model.metrics.evaluation import (
+    CASES,
+    COLUMNS,
+    Case,
+    Measured,
+    Method,
+    evaluate,
+    limit,
+    mean_row,
+    truths,
+)
+from pugeo_model.metrics.tables import LEGEND, table
 from pugeo_model.pipeline import Upsampler
-from pugeo_model.weights import locate
+from pugeo_model.weights import locate, read_card
 
-__all__ = ["evaluate_all", "table"]
+__all__ = ["Rows", "evaluate_all", "means_table", "require"]
+
+Rows = dict[str, dict[str, dict[str, dict[str, float]]]]
+"""Name of the case -> method -> shape -> column -> value."""
+
+_OURS, _LIMIT = "ours", "limit"
+_MEANING = {
+    _OURS: "the model",
+    _LIMIT: "an independent Poisson-disk sample of the true mesh, with its normals",
+    "plane": "PCA plane of 16 neighbours and our merge, without a network",
+    "jet": "fitted quadric and our merge, without a network",
+    "poisson": "screened Poisson reconstruction of the input, sampled evenly",
+}
+
+
+def require(*, surfaces: bool, pictures: bool) -> None:
+    """Fail before hours of work, not after them.
+
+    Raises:
+        ModuleNotFoundError: a library that the wanted parts need is not installed.
+    """
+    if surfaces:
+        reconstruction.library()
+    if pictures:
+        import matplotlib as mpl  # noqa: F401
 
 
 def evaluate_all(
     model: str,
     meshes: Path,
     samples: Path,
-    out: Path | None,
     *,
-    card: bool,
-    tick: Callable[[str, int, int], None],
+    cases: Sequence[Case] = CASES,
+    compare: bool = False,
+    surfaces: bool = False,
+    out: Path | None = None,
+    report: Path | None = None,
+    card: bool = False,
+    tick: Callable[[str, int, int], None] = lambda _label, _done, _total: None,
 ) -> str:
-    """Measure all cases and their limit.
+    """Measure a model and its limit in all cases.
 
     Args:
         model: released weights or the path of a ``.safetensors`` file.
-        meshes: folder of ``NAME.ply``.
+        meshes: folder of ``NAME.ply``, longest side 1.
         samples: folder with ``inputs/`` and ``gt/``.
-        out: where all rows go as JSON, or ``None``.
+        cases: which inputs and ratios.
+        compare: measure methods without learning too; the one that reconstructs surfaces only
+            where its library is installed.
+        surfaces: reconstruct surfaces from the dense clouds and measure these too.
+        out: where all rows go as JSON.
+        report: folder for ``report.md``, ``figures.json`` and pictures of the first case.
         card: write the means into the card beside the weights.
         tick: called with a label, rows done and rows in all.
 
     Returns:
         A Markdown table of means over shapes.
+
+    Raises:
+        ModuleNotFoundError: see :func:`require`.
+        FileNotFoundError: a mesh or a sample is missing.
     """
+    require(surfaces=surfaces, pictures=report is not None)
+    if report:
+        report.mkdir(parents=True, exist_ok=True)
     upsampler = Upsampler(model)
-    total = 2 * len(CASES) * len(list(meshes.glob("*.ply")))
-    rows: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
-    done = 0
-    sources = {
-        "ours": evaluate(lambda cloud, ratio: upsampler(cloud, ratio).cloud, meshes, samples),
-        "limit": limit(meshes, samples),
+    shapes = list(truths(meshes))
+    methods: dict[str, Method] = {_OURS: lambda cloud, ratio: upsampler(cloud, ratio).cloud}
+    if compare:
+        methods |= {"plane": baselines.plane, "jet": baselines.jet}
+        if find_spec("pycolmap"):
+            methods["poisson"] = baselines.poisson
+    sources: dict[str, Iterable[Measured]] = {
+        name: evaluate(method, shapes, samples, cases, surfaces=surfaces)
+        for name, method in methods.items()
     }
+    sources[_LIMIT] = limit(shapes, samples, cases, surfaces=surfaces)
+    rows: Rows = {case.name: {source: {} for source in sources} for case in cases}
+    done, total = 0, len(sources) * len(cases) * len(shapes)
     for source, found in sources.items():
-        for case, shape, row in found:
-            rows.setdefault(case.name, {}).setdefault(source, {})[shape] = row
+        for measured in found:
+            case, shape = measured.case.name, measured.truth.name
+            rows[case][source][shape] = measured.row
+            if report and source == _OURS and measured.case == cases[0]:
+                _draw(measured, report)
             done += 1
-            tick(f"{source} {case.name}", done, total)
-    means = {
+            tick(f"{source} {case}", done, total)
+    text = json.dumps({"means": _means(rows), "shapes": rows}, indent=1) + "\n"
+    if out:
+        out.write_text(text, "utf-8")
+    if report:
+        (report / "figures.json").write_text(text, "utf-8")
+        (report / "report.md").write_text(_document(read_card(model), rows), "utf-8")
+    if card:
+        _into_card(locate(model), rows)
+    return means_table(rows)
+
+
+def means_table(rows: Rows) -> str:
+    """Markdown: means over shapes, one line a case and method."""
+    return table(
+        (
+            ((case, source), row)
+            for case, sources in _means(rows).items()
+            for source, row in sources.items()
+        ),
+        ("input", "method"),
+    )
+
+
+def _means(rows: Rows) -> dict[str, dict[str, dict[str, float]]]:
+    return {
         case: {source: mean_row(list(shapes.values())) for source, shapes in sources.items()}
         for case, sources in rows.items()
     }
-    if out:
-        out.write_text(json.dumps({"means": means, "shapes": rows}, indent=1) + "\n", "utf-8")
-    if card:
-        _into_card(locate(model), means)
-    return table(means)
 
 
-def table(means: dict[str, dict[str, dict[str, float]]]) -> str:
-    """Markdown: one line a case and source."""
-    lines = [
-        "| input | method | " + " | ".join(COLUMNS) + " |",
-        "|---" * (len(COLUMNS) + 2) + "|",
+def _picture(shape: str) -> str:
+    return f"pictures/{shape}.png"
+
+
+def _draw(measured: Measured, folder: Path) -> None:
+    from pugeo_model.metrics.pictures import draw
+
+    target = folder / _picture(measured.truth.name)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draw(measured, target)
+
+
+def _document(card: dict[str, Any], rows: Rows) -> str:
+    """The report: means, every shape, pictures of the first case."""
+    first = next(iter(rows.values()))
+    methods = "\n".join(f"- {name}: {_MEANING[name]}" for name in first)
+    parts = [
+        f"# Quality of {card['name']} {card['version']}",
+        f"Weights with SHA-256 `{card['sha256']}`. Lengths are shares of a shape's longest side.",
+        LEGEND,
+        f"The methods:\n\n{methods}",
+        "## Means over shapes",
+        means_table(rows),
     ]
-    for case, sources in means.items():
-        for source, row in sources.items():
-            cells = (f"{row[name]:.4g}" if name in row else "" for name in COLUMNS)
-            lines.append(f"| {case} | {source} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    for case, sources in rows.items():
+        lines = (
+            ((shape, source), row)
+            for shape in sources[_OURS]
+            for source, shapes in sources.items()
+            for row in (shapes[shape],)
+        )
+        parts += [f"## {case}", table(lines, ("shape", "method"))]
+    parts.append(f"## Pictures: {next(iter(rows))}")
+    parts += [f"![{shape}]({_picture(shape)})" for shape in first[_OURS]]
+    return "\n\n".join(parts) + "\n"
 
 
-def _into_card(path: Path, means: dict[str, dict[str, dict[str, float]]]) -> None:
+def _into_card(path: Path, rows: Rows) -> None:
     place = path.with_suffix(".json")
     card: dict[str, Any] = json.loads(place.read_text("utf-8"))
     card["quality"] = {
-        case: {name: round(value, 4) for name, value in sources["ours"].items() if name in COLUMNS}
-        for case, sources in means.items()
+        case: {name: round(value, 4) for name, value in sources[_OURS].items() if name in COLUMNS}
+        for case, sources in _means(rows).items()
     }
     place.write_text(json.dumps(card, indent=2) + "\n", "utf-8")

@@ -60,7 +60,7 @@ class Model:
             torch.from_numpy(landing.lift)[flat],
             torch.from_numpy(landing.quadric)[flat],
         )
-        step, normals, log_error, _ = blend(
+        step, normals, _, _ = blend(
             self.net.surface,
             charts,
             torch.from_numpy(offsets.astype(np.float32)),
@@ -71,6 +71,5 @@ class Model:
         return Landed(
             spots if landing.fixed else spots + step.numpy(),
             normals.numpy(),
-            log_error.numpy(),
             landing.nearest,
         )

@@ -2,8 +2,8 @@
 """A training run from meshes to weights, model card and picture of the curves."""
 
 import csv
-import hashlib
 import platform
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,14 +68,16 @@ def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:
     """What anyone needs to judge and to repeat the weights."""
     recipe = trainer.recipe
     files = mesh_files(meshes)
-    licence = meshes.parent / "MANIFEST.tsv"
     return {
         "name": name,
         "version": __version__,
         "ratio_range": [1, 32],
         "parameters": sum(value.numel() for value in trainer.net.parameters()),
         "training": {
-            "command": f"pugeo train {meshes.name} --steps {recipe.steps} --seed {recipe.seed}",
+            "command": (
+                f"pugeo train {meshes.name} --out RUN --val VAL --steps {recipe.steps}"
+                f" --seed {recipe.seed} --threads {recipe.threads} --name {name}"
+            ),
             "recipe": recipe.to_json(),
             "steps": trainer.step,
             "hours": round(trainer.hours, 3),
@@ -83,17 +85,25 @@ def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:
             "torch": torch.__version__,
             "shapes": len(files),
             "data_sha256": content_hash(files),
-            "manifest_sha256": hashlib.sha256(licence.read_bytes()).hexdigest()
-            if licence.exists()
-            else None,
-            "licence_note": (
-                "Training shapes are under Apache-2.0, BSD, MIT, GPL, CC BY, CC BY-SA and public"
-                " domain terms, or classic research models without a licence file; none carries"
-                " a non-commercial licence."
-            ),
+            "licences": licences(meshes, {path.stem for path in files}),
         },
         "quality": {},
     }
+
+
+def licences(meshes: Path, names: set[str]) -> dict[str, int]:
+    """How many training shapes are under which terms.
+
+    Taken from ``MANIFEST.tsv`` beside the folder, whose columns ``name`` and ``licence`` say so;
+    empty where there is none.
+    """
+    manifest = meshes.parent / "MANIFEST.tsv"
+    if not manifest.exists():
+        return {}
+    with manifest.open(newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file, delimiter="\t")
+        terms = Counter(row["licence"] for row in rows if row["name"] in names)
+    return dict(terms.most_common())
 
 
 def plot_curves(log: Path, picture: Path) -> None:

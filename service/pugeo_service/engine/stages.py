@@ -188,7 +188,7 @@ def chunk(written: Written, index: int) -> bytes:
 
 def _check_output(cloud: Cloud, options: pipeline.Options, limit: int) -> None:
     # Before the work and not after it: preparing five million points takes a while.
-    wanted = options.n_points or round(options.ratio * len(cloud))
+    wanted = options.points_out(len(cloud))
     if wanted > limit:
         raise LimitExceeded(
             f"The answer would have {wanted:,} points; the limit is {limit:,}. Lower R.",

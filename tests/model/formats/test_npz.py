@@ -5,6 +5,7 @@ import io
 import struct
 import zipfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, LimitExceeded, MalformedFile
+from pugeo_model.formats import read, write
 
 Parse = Callable[..., Cloud]
 Dump = Callable[[Cloud, str], bytes]
@@ -216,3 +218,11 @@ def test_scalar_names(parse: Parse, dump: Dump) -> None:
     scalars = {name: np.array([index]) for index, name in enumerate(names)}
     back = parse(dump(Cloud(np.zeros((1, 3)), scalars=scalars), "npz"))
     assert [int(each[0]) for each in back.scalars.values()] == list(range(len(names)))
+
+
+def test_an_array_is_written_as_an_array(tmp_path: Path) -> None:
+    """A path that ends in .npy gets one array, points beside normals, that numpy loads."""
+    cloud = Cloud(P, normals=np.ones_like(P, dtype=np.float32))
+    write(cloud, tmp_path / "cloud.npy")
+    np.testing.assert_array_equal(np.load(tmp_path / "cloud.npy")[:, :3], P)
+    np.testing.assert_array_equal(read(tmp_path / "cloud.npy").points, P)

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured columns as Markdown tables."""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from pugeo_model.metrics.evaluation import COLUMNS
+
+__all__ = ["LEGEND", "table"]
+
+
+class _Column(NamedTuple):
+    heading: str
+    decimals: int
+    meaning: str
+
+
+_COLUMNS = {
+    "CD": _Column("CD", 4, "half the sum of both mean nearest distances to the reference, 1e-2"),
+    "HD": _Column("HD", 3, "the larger of both largest nearest distances, 1e-2"),
+    "JSD": _Column("JSD", 3, "divergence of the occupancy of a 28^3 grid, 1e-2"),
+    "P2F": _Column("P2F", 3, "mean distance to the true surface, 1e-3"),
+    "P2F_std": _Column("P2F std", 3, "its standard deviation, 1e-3"),
+    "sCD": _Column("sCD", 4, "sum of both mean squared distances at radius 1, 1e-3"),
+    "sHD": _Column("sHD", 3, "sum of both largest squared distances at radius 1, 1e-3"),
+    "normal_mean": _Column("normals", 2, "mean angle to the true normal, sign ignored, degrees"),
+    "normal_rms": _Column("normals RMS", 2, "root of the mean squared angle, degrees"),
+    "normal_below_10": _Column("below 10°", 1, "share of normals off by less, percent"),
+    "outward": _Column("outward", 1, "share of normals with the true sign, percent"),
+    "evenness": _Column("evenness", 3, "variation of nearest-neighbour distances"),
+    "CD#": _Column("CD#", 4, "CD of 200,000 points of reconstructed and true surface, 1e-2"),
+    "HD#": _Column("HD#", 3, "their HD, 1e-2"),
+    "JSD#": _Column("JSD#", 3, "their JSD, 1e-2"),
+}
+assert tuple(_COLUMNS) == COLUMNS
+
+LEGEND = "\n".join(f"- {column.heading}: {column.meaning}" for column in _COLUMNS.values())
+"""What each column means, as a Markdown list."""
+
+
+def table(
+    rows: Iterable[tuple[tuple[str, ...], Mapping[str, float]]], labels: tuple[str, ...]
+) -> str:
+    """Markdown with one line a row; columns that no row has are left out.
+
+    Args:
+        rows: cells of the leading columns, and measured columns.
+        labels: headings of the leading columns.
+    """
+    rows = list(rows)
+    shown = [name for name in COLUMNS if any(name in row for _, row in rows)]
+    lines = [
+        [*labels, *(_COLUMNS[name].heading for name in shown)],
+        ["---"] * len(labels) + ["---:"] * len(shown),
+        *(
+            [*lead, *(f"{row[n]:.{_COLUMNS[n].decimals}f}" if n in row else "" for n in shown)]
+            for lead, row in rows
+        ),
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

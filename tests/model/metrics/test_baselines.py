@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.metrics import baselines
+from pugeo_model.metrics.clouds import evenness
+
+
+@pytest.mark.parametrize("method", [baselines.plane, baselines.jet])
+def test_a_plane_is_exact(method, plane):
+    """Both fits keep the points of a plane in it, evenly spread, with its normal."""
+    points, normal = plane
+    dense = method(Cloud(points), 4)
+    assert len(dense) == 4 * len(points)
+    assert np.abs(dense.points @ normal).max() < 1e-6
+    assert np.abs(dense.normals @ normal).min() > 1 - 1e-6
+    assert evenness(dense.points) < 0.13
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4, 7.3])
+def test_any_ratio(ratio, sphere):
+    """As many points as the pipeline itself would give."""
+    dense = baselines.plane(Cloud(sphere), ratio)
+    assert len(dense) == int(np.floor(ratio * len(sphere) + 0.5))
+
+
+def test_planes_are_tangent(sphere):
+    """Samples of tangent planes lie off a sphere by rho^2 / 2R of where they lie on the plane."""
+    dense = baselines.plane(Cloud(sphere), 4)
+    above = np.linalg.norm(dense.points, axis=1) - 1
+    apart = np.linalg.norm(dense.points[:, None] - sphere[None, ::1], axis=2).min(axis=1)
+    np.testing.assert_allclose(above, apart**2 / 2, atol=2e-4)
+    assert ((dense.normals * dense.points).sum(axis=1) > 0.99).all()
+
+
+def test_a_quadric_knows_curvature(sphere):
+    """On a sphere the normals of a jet are several times as good as those of planes."""
+    errors = []
+    for method in (baselines.plane, baselines.jet):
+        dense = method(Cloud(sphere), 4)
+        unit = dense.points / np.linalg.norm(dense.points, axis=1, keepdims=True)
+        errors.append(np.degrees(np.arccos((dense.normals * unit).sum(axis=1).clip(-1, 1))).mean())
+    assert errors[1] < errors[0] / 3
+
+
+def test_place_and_scale_do_not_matter(sphere):
+    """A cloud far away and large comes back far away and large, with the same normals."""
+    near = baselines.jet(Cloud(sphere), 4)
+    far = baselines.jet(Cloud(100 * sphere + [5e5, 0, 0]), 4)
+    np.testing.assert_allclose((far.points - [5e5, 0, 0]) / 100, near.points, atol=1e-6)
+
+
+def test_poisson_resamples_the_sphere(sphere):
+    """Reconstruction gives exactly R M even points on the sphere, normals outward."""
+    pytest.importorskip("pycolmap", reason="reconstruction needs the evaluate extra")
+    dense = baselines.poisson(Cloud(0.5 * sphere[::2]), 3)
+    assert len(dense) == 3 * len(sphere[::2])
+    radius = np.linalg.norm(dense.points, axis=1)
+    assert np.abs(radius - 0.5).mean() < 2e-3
+    assert ((dense.normals * dense.points).sum(axis=1) / radius).min() > 0.9
+    assert evenness(dense.points) < 0.11
