@@ -59,7 +59,7 @@ def take(
         ("text/plain; charset=utf-8", None),
         ("application/x-ply", "ply"),
         ("Application/JSON; charset=utf-8", "json"),
-        ("application/x-npy", "npz"),
+        ("application/x-npy", "npy"),
         ("application/x-npz", "npz"),
         ("text/csv", "xyz"),
     ],

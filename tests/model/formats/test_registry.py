@@ -24,7 +24,7 @@ Dump = Callable[[Cloud, str], bytes]
 def test_names() -> None:
     """The registry has the promised names, and every extension belongs to one format."""
     names = sorted(FORMATS)
-    assert names == ["json", "npz", "ply", "ply-ascii", "xyz"]
+    assert names == ["json", "npy", "npz", "ply", "ply-ascii", "xyz"]
     for key, module in FORMATS.items():
         assert key == module.NAME
         assert module.MEDIA_TYPES

@@ -2,15 +2,11 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("igl", reason="evaluation needs the train extra")
+pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
 
-
-@pytest.fixture
-def square(tmp_path):
-    """A unit square in the plane z = 0, as a mesh file."""
-    path = tmp_path / "square.off"
-    path.write_text("OFF\n4 2 0\n-.5 -.5 0\n.5 -.5 0\n.5 .5 0\n-.5 .5 0\n3 0 1 2\n3 0 2 3\n")
-    return path
+from pugeo_model.cloud import Cloud
+from pugeo_model.formats import write
+from pugeo_model.training.corpus import poisson_disk
 
 
 def test_known_offset_and_tilt(square):
@@ -28,6 +24,71 @@ def test_known_offset_and_tilt(square):
     assert row["normal_mean"] == pytest.approx(5.0)
     assert row["normal_rms"] == pytest.approx(5.0)
     assert row["normal_below_10"] == 100.0
+    assert row["outward"] == 0.0
+
+
+def test_signs_are_counted_apart(square):
+    """One normal in four turned over: angles stay 0 to the last digits, three are outward."""
+    from pugeo_model.metrics.evaluation import Truth, measure
+
+    flat = np.concatenate(
+        [np.random.default_rng(0).uniform(-0.5, 0.5, (400, 2)), np.zeros((400, 1))], axis=1
+    )
+    normals = np.tile(np.float32([0, 0, 1]), (400, 1))
+    normals[::4] *= -1
+    row = measure(flat, normals, flat, Truth(square))
+    assert row["outward"] == 75.0
+    assert row["normal_mean"] < 1e-5
+
+
+@pytest.fixture
+def samples(ball, tmp_path):
+    """Inputs of 300 points and references of 600 for the ball."""
+    from pugeo_model.metrics.evaluation import Truth
+
+    truth = Truth(ball)
+    for folder, kind, count in (("inputs", "a", 300), ("inputs", "b", 300), ("gt", "600", 600)):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        points = poisson_disk(truth.vertices, truth.faces, count, np.random.default_rng(len(kind)))
+        write(Cloud(points), tmp_path / folder / f"ball_{kind}.ply")
+    return tmp_path
+
+
+def test_a_method_is_measured_as_it_is(ball, samples):
+    """A method that lifts everything by 0.001 and repeats it has that P2F, its input and ratio."""
+    from pugeo_model.metrics.evaluation import Case, Truth, evaluate
+
+    asked = []
+
+    def lift(cloud, ratio):
+        asked.append((len(cloud), ratio))
+        unit = cloud.points / np.linalg.norm(cloud.points, axis=1, keepdims=True)
+        return Cloud(np.concatenate([0.501 * unit, 0.502 * unit]), normals=np.tile(unit, (2, 1)))
+
+    cases = [Case("a", 2, 600), Case("b", 2, 600)]
+    found = list(evaluate(lift, [Truth(ball)], samples, cases))
+    assert asked == [(300, 2), (300, 2)]
+    assert [each.case for each in found] == cases
+    for each in found:
+        assert each.row["P2F"] == pytest.approx(1.5, abs=0.3)  # the mesh is a little inside
+        assert each.row["P2F_std"] == pytest.approx(0.5, abs=0.05)
+        assert each.row["normal_mean"] < 2.0
+        assert each.row["outward"] == 100.0
+        assert each.surface is None
+
+
+def test_the_limit_is_shared_by_cases(ball, samples):
+    """Cases with references of one size have one limit; its points and normals are exact."""
+    from pugeo_model.metrics.evaluation import Case, Truth, limit
+
+    cases = [Case("a", 2, 600), Case("b", 2, 600)]
+    first, second = limit([Truth(ball)], samples, cases)
+    assert [first.case, second.case] == cases
+    assert first.row is second.row
+    assert first.row["P2F"] < 1e-9
+    assert first.row["normal_mean"] < 1e-4
+    assert first.row["evenness"] < 0.1
+    assert 0 < first.row["CD"] < 100 * np.sqrt(np.pi / 600)
 
 
 def test_poisson_disk_is_exact_and_even(square):

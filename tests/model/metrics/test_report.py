@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import shutil
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
+pytest.importorskip("matplotlib", reason="the report needs the evaluate extra")
+
+import igl
+
+from pugeo_model.cli import app
+from pugeo_model.cloud import Cloud
+from pugeo_model.formats import write
+from pugeo_model.metrics.evaluation import COLUMNS, Case, Truth
+from pugeo_model.metrics.report import evaluate_all
+from pugeo_model.metrics.tables import table
+from pugeo_model.training.corpus import poisson_disk
+from pugeo_model.weights import locate
+
+CASES = [Case("300", 2, 600), Case("300", 4, 1200)]
+
+
+@pytest.fixture
+def shapes(ball, tmp_path):
+    """A folder of one mesh and one of its samples."""
+    truth = Truth(ball)
+    for folder in ("meshes", "samples/inputs", "samples/gt"):
+        (tmp_path / folder).mkdir(parents=True)
+    igl.write_triangle_mesh(str(tmp_path / "meshes/ball.ply"), truth.vertices, truth.faces)
+    for place, count in (("inputs", 300), ("gt", 600), ("gt", 1200)):
+        points = poisson_disk(truth.vertices, truth.faces, count, np.random.default_rng(count))
+        write(Cloud(points), tmp_path / f"samples/{place}/ball_{count}.ply")
+    return tmp_path / "meshes", tmp_path / "samples"
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """A copy of the released weights, whose card may be written to."""
+    released = locate("standard")
+    for path in (released, released.with_suffix(".json")):
+        shutil.copy(path, tmp_path / f"copy{path.suffix}")
+    return tmp_path / "copy.safetensors"
+
+
+def test_everything_at_once(shapes, weights, tmp_path):
+    """All methods in all cases: JSON, report, picture and card agree, and progress is complete."""
+    surfaces = find_spec("pycolmap") is not None
+    ticks = []
+    text = evaluate_all(
+        str(weights),
+        *shapes,
+        cases=CASES,
+        compare=True,
+        surfaces=surfaces,
+        out=tmp_path / "out.json",
+        report=tmp_path / "new/report",
+        card=True,
+        tick=lambda *told: ticks.append(told),
+    )
+    names = ["ours", "plane", "jet", *(["poisson"] if surfaces else []), "limit"]
+    figures = json.loads((tmp_path / "out.json").read_text("utf-8"))
+    assert [list(sources) for sources in figures["means"].values()] == [names, names]
+    assert [told[1:] for told in ticks] == [(n, 2 * len(names)) for n in range(1, len(ticks) + 1)]
+    assert len(ticks) == 2 * len(names)
+    for sources in figures["means"].values():
+        assert set(sources["ours"]) == {*(COLUMNS if surfaces else COLUMNS[:-3]), "seconds"}
+        assert sources["limit"]["P2F"] < 1e-3 < sources["ours"]["P2F"] < sources["plane"]["P2F"]
+        if surfaces:
+            assert sources["limit"]["CD#"] < sources["ours"]["CD#"] < 2 * sources["limit"]["CD#"]
+    assert (tmp_path / "new/report/figures.json").read_text() == (tmp_path / "out.json").read_text()
+    report = (tmp_path / "new/report/report.md").read_text("utf-8")
+    assert text in report
+    for name in names:
+        assert f"| ball | {name} |" in report
+    assert "(pictures/ball.png)" in report
+    assert (tmp_path / "new/report/pictures/ball.png").read_bytes()[:4] == b"\x89PNG"
+    quality = json.loads(weights.with_suffix(".json").read_text("utf-8"))["quality"]
+    assert set(quality) == {case.name for case in CASES}
+    for case, means in figures["means"].items():
+        assert quality[case]["CD"] == pytest.approx(means["ours"]["CD"], abs=1e-4)
+
+
+def test_tables_leave_out_what_nobody_measured():
+    """Columns without a value vanish, single missing values are blank, the rest is rounded."""
+    text = table([(("a",), {"CD": 0.12345, "P2F": 2.0}), (("b",), {"CD": 1.0})], ("shape",))
+    assert text.splitlines() == [
+        "| shape | CD | P2F |",
+        "| --- | ---: | ---: |",
+        "| a | 0.1235 | 2.000 |",
+        "| b | 1.0000 |  |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("gone", "flags"),
+    [("pycolmap", ["--reconstruct"]), ("matplotlib", ["--report", "new"])],
+)
+def test_a_missing_library_is_named_at_once(gone, flags, tmp_path, monkeypatch):
+    """Before anything is measured: the library, and the extra that it comes with."""
+    monkeypatch.setitem(sys.modules, gone, None)
+    done = CliRunner().invoke(
+        app, ["evaluate", "--meshes", str(tmp_path), "--samples", str(tmp_path), *flags]
+    )
+    assert done.exit_code == 2
+    assert f"needs {gone}" in " ".join(done.output.split())
+    assert "pugeo[evaluate]" in done.output
+
+
+def test_unknown_cases_and_empty_folders_are_told(tmp_path):
+    """A case that does not exist, and a folder without meshes, are one line."""
+    folders = ["--meshes", str(tmp_path), "--samples", str(tmp_path)]
+    done = CliRunner().invoke(app, ["evaluate", *folders, "--case", "7 x7"])
+    assert done.exit_code == 2
+    assert "5000 x16" in " ".join(done.output.split())
+    done = CliRunner().invoke(app, ["evaluate", *folders])
+    assert isinstance(done.exception, FileNotFoundError)
+    assert "no NAME.ply" in str(done.exception)
