@@ -2,7 +2,7 @@
 """What upsampling reaches without learning: the yardsticks beside our rows.
 
 ``plane`` and ``jet`` are our own way of a cloud with a textbook fit in the place of the network:
-an even disk of candidates on every point's chart, the same merge, the same orientation. What the
+an even disk of candidates on every point's chart, blending, merge and orientation alike. What the
 network adds is the distance to them. ``poisson`` samples a reconstructed surface anew.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.merge.atlas import Landed
+from pugeo_model.merge.atlas import BLENDED, Landed
 from pugeo_model.merge.placement import nearest_charts, place, shares
 from pugeo_model.metrics.reconstruction import reconstruct
 from pugeo_model.metrics.surface_distance import MeshDistance
@@ -23,6 +23,7 @@ from pugeo_model.training.corpus import face_normals, poisson_disk
 
 __all__ = ["jet", "plane", "poisson"]
 
+_FALLOFF = 2.0  # of a chart's weight with the squared distance in spacings, as in the network
 _PLANE_NEIGHBOURS = 16  # as one takes for PCA normals
 _LIFT = 0.5  # share of the quadric's constant, as in the network before its first step
 _DISK = 0.87  # side, in spacings, of the square as large as one point's share of the surface
@@ -46,7 +47,7 @@ class _Charts:
 
     def lift(
         self, owner: NDArray[np.integer], uv: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points ``(K, 3)`` and unit normals ``(K, 3)`` at ``uv`` ``(K, 2)`` of their charts."""
         u, v = uv.T
         c0, c1, c2, c3, c4, c5 = self.quadric[owner].T
@@ -57,16 +58,30 @@ class _Charts:
         local = np.concatenate([uv, height[:, None]], axis=1)[:, None]
         axes = self.axes[owner]
         offsets = (local @ axes)[:, 0] * self.spacing[owner, None]
-        return self.points[owner] + offsets, (normals[:, None] @ axes)[:, 0].astype(np.float32)
+        return self.points[owner] + offsets, (normals[:, None] @ axes)[:, 0]
 
-    def parametrise(
-        self, owner: NDArray[np.integer], spots: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """``uv`` ``(K, 2)`` of spots ``(K, 3)`` in their charts."""
-        offsets = (spots - self.points[owner])[:, :, None]
-        local = (self.axes[owner, :2] @ offsets)[:, :, 0]
-        scaled: NDArray[np.float64] = local / self.spacing[owner, None]
-        return scaled
+    def land(
+        self,
+        spots: NDArray[np.float64],
+        owner: NDArray[np.int32],
+        neighbours: NDArray[np.int32],
+    ) -> Landed:
+        """Spots ``(K, 3)`` on the blend of their nearest charts, weighed by distance alone."""
+        near = nearest_charts(spots, owner, self.points, neighbours, BLENDED)
+        total = np.zeros((len(spots), 1))
+        points, normals, first = np.zeros_like(spots), np.zeros_like(spots), np.zeros_like(spots)
+        for column, chart in enumerate(near.T):
+            offsets = (spots - self.points[chart])[:, :, None]
+            local = (self.axes[chart] @ offsets)[:, :, 0] / self.spacing[chart, None]
+            lifted, normal = self.lift(chart, local[:, :2])
+            first = normal if column == 0 else first
+            normal = np.where((normal * first).sum(axis=1, keepdims=True) < 0, -normal, normal)
+            weight = np.exp(-_FALLOFF * (local**2).sum(axis=1, keepdims=True)) + 1e-12
+            points += weight * lifted
+            normals += weight * normal
+            total += weight
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return Landed(points / total, normals.astype(np.float32), near[:, 0])
 
 
 def plane(cloud: Cloud, ratio: float) -> Cloud:
@@ -89,7 +104,7 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     charts = _jets(job)
     rows = np.arange(len(job.points), dtype=np.int32)
     _, normals = charts.lift(rows, np.zeros((len(rows), 2)))
-    sparse = finish(job, [Landed(job.points, normals, rows)]).cloud
+    sparse = finish(job, [Landed(job.points, normals.astype(np.float32), rows)]).cloud
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
     wanted = Options(ratio).points_out(len(sparse))
@@ -104,19 +119,18 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
     charts = fit(job)
     owner = np.repeat(np.arange(len(job.points), dtype=np.int32), job.candidates)
     pattern = np.tile(_DISK * disk(job.candidates).astype(np.float64), (len(job.points), 1))
-    candidates, normals = charts.lift(owner, pattern)
+    proposed, _ = charts.lift(owner, pattern)
+    candidates = charts.land(proposed, owner, job.neighbours)
     spots, owner = place(
-        candidates,
-        normals,
-        owner,
+        candidates.points,
+        candidates.normals,
+        candidates.nearest,
         job.n_out,
         shares(job.frames.spacing, job.neighbours),
         job.neighbours,
         seed=0,
     )
-    owner = nearest_charts(spots, owner, job.points, job.neighbours, 1)[:, 0]
-    points, normals = charts.lift(owner, charts.parametrise(owner, spots))
-    return finish(job, [Landed(points, normals, owner)]).cloud
+    return finish(job, [charts.land(spots, owner, job.neighbours)]).cloud
 
 
 def _planes(job: Job) -> _Charts:

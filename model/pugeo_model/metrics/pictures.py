@@ -28,27 +28,27 @@ FAR = 2e-3
 
 Floats = NDArray[np.float64]
 
-_PIXELS = 520
 _TILT = 20.0  # degrees, looking down
 _CLAY = np.array([0.62, 0.60, 0.56])
 _COLORS = colormaps["turbo"]
-_SURFACE_SAMPLES = 200_000
+_DISCS = 100_000  # for a surface
 _INK, _BLUR = "#f2f4f8", "#9aa4b5"
 
 
-def draw(measured: Measured, target: Path) -> None:
+def draw(measured: Measured, target: Path, pixels: int = 520) -> None:
     """Draw one dense cloud: coloured by error, lit by its normals, and its surface if there is one.
 
     Args:
         measured: a cloud with normals, and what was measured of it.
         target: a ``.png`` file.
+        pixels: side of every panel.
     """
     dense = measured.dense
     assert dense.normals is not None
     points, normals = dense.points.astype(np.float64), dense.normals.astype(np.float64)
     distance, _, _ = measured.truth.distance.nearest(points)
     turn = _upright(measured.truth.vertices)
-    camera = Camera.on(measured.truth.vertices @ turn.T, tilt=_TILT, pixels=_PIXELS)
+    camera = Camera.on(measured.truth.vertices @ turn.T, tilt=_TILT, pixels=pixels)
     row = measured.row
     clay = np.broadcast_to(_CLAY, points.shape)
     points, normals = points @ turn.T, normals @ turn.T
@@ -95,12 +95,12 @@ def _error_colors(distance: Floats) -> Floats:
 def _draw_mesh(camera: Camera, turn: Floats, mesh: Mesh) -> Floats:
     """A mesh as a cloud of so many discs that no gap is left."""
     vertices, faces = mesh
-    points = uniform(vertices, faces, _SURFACE_SAMPLES, np.random.default_rng(0))
+    points = uniform(vertices, faces, _DISCS, np.random.default_rng(0))
     _, nearest = knn(cKDTree(vertices), points, 1)
     normals = igl.per_vertex_normals(vertices, faces)[nearest[:, 0]]
     area = float(igl.doublearea(vertices, faces).sum()) / 2
     clay = np.broadcast_to(_CLAY, points.shape)
-    radius = 2.0 * np.sqrt(area / _SURFACE_SAMPLES)
+    radius = 2.0 * np.sqrt(area / _DISCS)  # one point in 300,000 of the surface stays bare
     return splat(camera, points @ turn.T, clay, radius=radius, normals=normals @ turn.T)
 
 
@@ -113,7 +113,7 @@ def _draw_cloud(
 
 
 def _write(panels: list[tuple[Floats, str, str]], title: str, target: Path) -> None:
-    side, top, foot = _PIXELS / 100, 0.5, 1.45
+    side, top, foot = panels[0][0].shape[0] / 100, 0.5, 1.45
     share, height = 1 / len(panels), top + side + foot
     background = tuple(BACKGROUND ** (1 / 2.2))
     figure = Figure(figsize=(len(panels) * side, height), dpi=100, facecolor=background)

@@ -27,11 +27,11 @@ class Mix:
         noise: largest standard deviation, in spacings.
     """
 
-    noisy: float = 0.22
-    random: float = 0.12
-    ramp: float = 0.05
-    cut: float = 0.04
-    lines: float = 0.06
+    noisy: float = 0.18
+    random: float = 0.1
+    ramp: float = 0.03
+    cut: float = 0.03
+    lines: float = 0.04
     noise: float = 0.35
 
 

@@ -35,7 +35,8 @@ class Weights:
 
     Attributes:
         coverage: of ``z + z^2`` with ``z = R d^2 / s^2`` over true surface samples.
-        p2f: of the distance; ``3 R`` times its square is always added, for outliers.
+        p2f: of the distance; ``3 R`` times its square, linear beyond 0.1 spacings, is always
+            added, for outliers.
         coarse_normal: of ``T (0, 0, 1)``.
         refined_normal: of the final normal.
         blended: of P2F and normals of blended charts.
@@ -118,7 +119,7 @@ class JointLoss:
         parts = {
             "coverage": (held * (z + z.square())).sum(),
             "p2f": (share * miss).sum(),
-            "p2f_squared": (share * miss.square()).sum(),
+            "outliers": (share * _outlying(miss)).sum(),
             "coarse_normal": (share * coarse_turn).sum(),
             "refined_normal": (share * turn).sum(),
             "confidence": (share * expected).sum(),
@@ -129,7 +130,7 @@ class JointLoss:
         total = (
             w.coverage * parts["coverage"]
             + w.p2f * parts["p2f"]
-            + 3.0 * count * parts["p2f_squared"]
+            + 3.0 * count * parts["outliers"]
             + w.coarse_normal * parts["coarse_normal"]
             + w.refined_normal * parts["refined_normal"]
             + w.blended
@@ -186,7 +187,7 @@ class JointLoss:
         nearby = torch.exp(-distance / 0.64) / CHARTS
         expected = (log_errors - torch.log(alone.detach() + 0.005)).abs().mean(dim=1)
         return {
-            "blended_p2f": (share * (miss + cloud.shape[1] * miss.square())).sum(),
+            "blended_p2f": (share * (miss + cloud.shape[1] * _outlying(miss))).sum(),
             "blended_normal": (share * turn).sum(),
             "chart_p2f": (share * (nearby * alone).sum(dim=1)).sum(),
             "chart_confidence": (share * expected).sum(),
@@ -216,6 +217,15 @@ def _rows(arrays: Sequence[np.ndarray]) -> Tensor:
 def _length(vectors: Tensor) -> Tensor:
     """Norm whose gradient at zero is zero, not NaN."""
     return torch.sqrt(vectors.square().sum(-1) + 1e-16)
+
+
+def _outlying(miss: Tensor) -> Tensor:
+    """Square of a distance in spacings, going over into a line of the same slope (pseudo-Huber).
+
+    A plain square let a few outliers of each step set the direction of its clipped gradient.
+    """
+    bend = 0.1
+    return 2.0 * bend * bend * (torch.sqrt(1.0 + (miss / bend).square()) - 1.0)
 
 
 def _unoriented(normals: Tensor, truth: Tensor) -> Tensor:

@@ -55,13 +55,18 @@ def run(
     trainer = Trainer(shapes, recipe, folder, validation)
     words = {"": ""}
 
-    def report(_step: int, line: dict[str, float]) -> None:
-        shown = {key: line[key] for key in ("loss", "val_loss") if key in line}
-        words[""] = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
+    def write() -> None:
         plot_curves(folder / "log.csv", folder / "curves.png")
         save(trainer.net, model_card(trainer, meshes, name), folder / f"{name}.safetensors")
 
+    def report(_step: int, line: dict[str, float]) -> None:
+        shown = {key: line[key] for key in ("loss", "val_loss") if key in line}
+        words[""] = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
+        write()
+
     trainer.run(every, report, lambda step: tick(step, words[""]))
+    # Also where nothing was left to train, as after a change of the name.
+    write()
 
 
 def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:

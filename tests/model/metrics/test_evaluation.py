@@ -34,7 +34,7 @@ def test_signs_are_counted_apart(square):
     flat = np.concatenate(
         [np.random.default_rng(0).uniform(-0.5, 0.5, (400, 2)), np.zeros((400, 1))], axis=1
     )
-    normals = np.tile(np.float32([0, 0, 1]), (400, 1))
+    normals = np.tile(np.array([0, 0, 1], dtype=np.float32), (400, 1))
     normals[::4] *= -1
     row = measure(flat, normals, flat, Truth(square))
     assert row["outward"] == 75.0
@@ -63,15 +63,16 @@ def test_a_method_is_measured_as_it_is(ball, samples):
     def lift(cloud, ratio):
         asked.append((len(cloud), ratio))
         unit = cloud.points / np.linalg.norm(cloud.points, axis=1, keepdims=True)
-        return Cloud(np.concatenate([0.501 * unit, 0.502 * unit]), normals=np.tile(unit, (2, 1)))
+        points = np.concatenate([cloud.points + 0.001 * unit, cloud.points + 0.002 * unit])
+        return Cloud(points, normals=np.tile(unit, (2, 1)))
 
     cases = [Case("a", 2, 600), Case("b", 2, 600)]
     found = list(evaluate(lift, [Truth(ball)], samples, cases))
     assert asked == [(300, 2), (300, 2)]
     assert [each.case for each in found] == cases
     for each in found:
-        assert each.row["P2F"] == pytest.approx(1.5, abs=0.3)  # the mesh is a little inside
-        assert each.row["P2F_std"] == pytest.approx(0.5, abs=0.05)
+        assert each.row["P2F"] == pytest.approx(1.5, abs=0.01)
+        assert each.row["P2F_std"] == pytest.approx(0.5, abs=0.01)
         assert each.row["normal_mean"] < 2.0
         assert each.row["outward"] == 100.0
         assert each.surface is None

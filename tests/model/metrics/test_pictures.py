@@ -13,12 +13,14 @@ from pugeo_model.metrics.evaluation import Case, Measured, Truth, measure, measu
 from pugeo_model.metrics.pictures import FAR, draw
 from pugeo_model.render import BACKGROUND, Camera, splat
 
-SIDE = 520
+SIDE = 120
 
 
 @pytest.fixture
-def at_distance(ball, sphere, tmp_path):
+def at_distance(ball, sphere, tmp_path, monkeypatch):
     """Draws points everywhere at one distance from the ball, and gives the picture's pixels."""
+    monkeypatch.setattr("pugeo_model.metrics.evaluation._SURFACE_SAMPLES", 5_000)
+    monkeypatch.setattr("pugeo_model.metrics.pictures._DISCS", 5_000)
     truth = Truth(ball)
 
     def picture(distance, surface=None):
@@ -28,7 +30,8 @@ def at_distance(ball, sphere, tmp_path):
         if surface is not None:
             row |= measure_surface(surface, truth)
         cloud = Cloud(points, normals=sphere.astype(np.float32))
-        draw(Measured(Case("2000", 1, 2000), truth, row, cloud, surface), tmp_path / "out.png")
+        measured = Measured(Case("2000", 1, 2000), truth, row, cloud, surface)
+        draw(measured, tmp_path / "out.png", SIDE)
         return imread(tmp_path / "out.png")[:, :, :3]
 
     return picture
@@ -39,7 +42,7 @@ def test_colours_are_those_of_the_bar(at_distance, share):
     """Points at one distance from the surface all have the colour of the bar at that distance."""
     image = at_distance(share * FAR)
     assert image.shape[1] == 2 * SIDE
-    middle = image[50 + SIDE // 2 - 60 : 50 + SIDE // 2 + 60, SIDE // 2 - 60 : SIDE // 2 + 60]
+    middle = image[50 + SIDE // 3 : 50 + 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]
     np.testing.assert_allclose(
         middle, np.broadcast_to(colormaps["turbo"](share)[:3], middle.shape), atol=0.03
     )

@@ -2,6 +2,7 @@
 import json
 import shutil
 import sys
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -17,6 +18,7 @@ from pugeo_model.cli import app
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import write
 from pugeo_model.metrics.evaluation import COLUMNS, Case, Truth
+from pugeo_model.metrics.pictures import draw
 from pugeo_model.metrics.report import evaluate_all
 from pugeo_model.metrics.tables import table
 from pugeo_model.training.corpus import poisson_disk
@@ -47,31 +49,27 @@ def weights(tmp_path):
     return tmp_path / "copy.safetensors"
 
 
-def test_everything_at_once(shapes, weights, tmp_path):
+def test_everything_at_once(shapes, weights, tmp_path, monkeypatch):
     """All methods in all cases: JSON, report, picture and card agree, and progress is complete."""
-    surfaces = find_spec("pycolmap") is not None
+    monkeypatch.setattr("pugeo_model.metrics.pictures.draw", partial(draw, pixels=100))
     ticks = []
     text = evaluate_all(
         str(weights),
         *shapes,
         cases=CASES,
         compare=True,
-        surfaces=surfaces,
         out=tmp_path / "out.json",
         report=tmp_path / "new/report",
         card=True,
         tick=lambda *told: ticks.append(told),
     )
-    names = ["ours", "plane", "jet", *(["poisson"] if surfaces else []), "limit"]
+    names = ["ours", "plane", "jet", *(["poisson"] if find_spec("pycolmap") else []), "limit"]
     figures = json.loads((tmp_path / "out.json").read_text("utf-8"))
     assert [list(sources) for sources in figures["means"].values()] == [names, names]
-    assert [told[1:] for told in ticks] == [(n, 2 * len(names)) for n in range(1, len(ticks) + 1)]
-    assert len(ticks) == 2 * len(names)
+    assert [told[1:] for told in ticks] == [(n + 1, 2 * len(names)) for n in range(2 * len(names))]
     for sources in figures["means"].values():
-        assert set(sources["ours"]) == {*(COLUMNS if surfaces else COLUMNS[:-3]), "seconds"}
+        assert set(sources["ours"]) == {*COLUMNS[:-3], "seconds"}
         assert sources["limit"]["P2F"] < 1e-3 < sources["ours"]["P2F"] < sources["plane"]["P2F"]
-        if surfaces:
-            assert sources["limit"]["CD#"] < sources["ours"]["CD#"] < 2 * sources["limit"]["CD#"]
     assert (tmp_path / "new/report/figures.json").read_text() == (tmp_path / "out.json").read_text()
     report = (tmp_path / "new/report/report.md").read_text("utf-8")
     assert text in report
@@ -83,6 +81,18 @@ def test_everything_at_once(shapes, weights, tmp_path):
     assert set(quality) == {case.name for case in CASES}
     for case, means in figures["means"].items():
         assert quality[case]["CD"] == pytest.approx(means["ours"]["CD"], abs=1e-4)
+
+
+def test_reconstructed_surfaces_have_columns(shapes, monkeypatch):
+    """On a smooth ball the surfaces from our cloud and from the limit's are as good."""
+    pytest.importorskip("pycolmap", reason="reconstruction needs the evaluate extra")
+    monkeypatch.setattr("pugeo_model.metrics.evaluation._SURFACE_SAMPLES", 20_000)
+    text = evaluate_all("standard", *shapes, cases=CASES[1:], surfaces=True)
+    head, _, ours, limit = (line.strip("| ").split(" | ") for line in text.splitlines())
+    where = head.index("CD#")
+    floor = 100 * 0.5 * np.sqrt(np.pi / 20_000)  # of two samples of one surface of this area
+    assert 0.97 * floor < float(limit[where]) < 1.05 * floor
+    assert 0.97 * floor < float(ours[where]) < 1.1 * floor
 
 
 def test_tables_leave_out_what_nobody_measured():
