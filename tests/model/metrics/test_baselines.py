@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.neighbours import knn
 from pugeo_model.metrics import baselines
 from pugeo_model.metrics.clouds import evenness
 
@@ -29,13 +27,25 @@ def test_any_ratio(ratio, sphere):
     assert len(dense) == int(np.floor(ratio * len(sphere) + 0.5))
 
 
-def test_planes_are_tangent(sphere):
-    """Samples of tangent planes stand off a unit sphere by half their squared distance to it."""
-    dense = baselines.plane(Cloud(sphere), 4)
-    above = np.linalg.norm(dense.points, axis=1) - 1
-    apart, _ = knn(cKDTree(sphere), dense.points, 1)
-    assert above.mean() == pytest.approx((apart**2).mean() / 2, rel=0.05)
-    assert ((dense.normals * dense.points).sum(axis=1) > 0.99).all()
+def test_charts_land_spots_on_what_they_describe():
+    """Three exact quadrics of a unit sphere pull spots above it down to it, with its normals."""
+    spacing = 0.05
+    pole = np.array([0.0, 0.0, 1.0])
+    points, axes = [], []
+    for turn in (0.0, 0.05, -0.05):
+        normal = np.array([np.sin(turn), 0.0, np.cos(turn)])
+        first = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+        points.append(normal)
+        axes.append([first, np.cross(normal, first), normal])
+    quadric = np.tile([0, 0, 0, -spacing, 0, -spacing], (3, 1))  # h = -s (u^2 + v^2) / 2
+    charts = baselines._Charts(np.array(points), np.array(axes), np.full(3, spacing), quadric)
+    others = np.array([[1, 2], [0, 2], [0, 1]], dtype=np.int32)
+    spots = 1.02 * pole + np.random.default_rng(0).uniform(-0.03, 0.03, (50, 3)) * [1, 1, 0]
+    landed = charts.land(spots, np.zeros(50, dtype=np.int32), others)
+    np.testing.assert_allclose(np.linalg.norm(landed.points, axis=1), 1.0, atol=2e-6)
+    np.testing.assert_allclose(landed.normals, landed.points, atol=2e-3)
+    near = np.linalg.norm(spots[:, None] - points, axis=2).argmin(axis=1)
+    assert (landed.nearest == near).all()
 
 
 def test_a_quadric_knows_curvature(sphere):
