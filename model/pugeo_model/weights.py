@@ -82,5 +82,7 @@ def save(net: Any, card: dict[str, Any], path: Path) -> None:
 
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file({name: value.contiguous() for name, value in net.state_dict().items()}, path)
+    # The library writes for the owner alone; weights inside a package are for everyone.
+    path.chmod(0o644)
     card = {**card, "architecture": net.architecture.to_json()}
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n", "utf-8")
