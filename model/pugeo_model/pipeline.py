@@ -233,6 +233,7 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
     spots, owner = place(
         landed.points,
         landed.normals,
+        landed.error,
         landed.nearest,
         job.n_out,
         shares(job.frames.spacing, job.neighbours),

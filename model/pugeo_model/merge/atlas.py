@@ -80,11 +80,13 @@ class Landed:
     Attributes:
         points: ``(m, 3)`` float64, unit scale.
         normals: ``(m, 3)`` float32 unit, sign that of the nearest chart's frame.
+        error: ``(m,)`` float32, expected by the charts themselves, in spacings.
         nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
+    error: NDArray[np.float32]
     nearest: NDArray[np.int32]
 
     @classmethod
@@ -93,6 +95,7 @@ class Landed:
         return cls(
             np.concatenate([part.points for part in parts]),
             np.concatenate([part.normals for part in parts]),
+            np.concatenate([part.error for part in parts]),
             np.concatenate([part.nearest for part in parts]),
         )
 

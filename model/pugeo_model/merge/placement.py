@@ -16,7 +16,9 @@ _NEAR_CHARTS = 12  # charts searched around a sample
 _CROWD = 20  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
 _CHANCE = 1e-3  # largest burden that the seed draws
-_ROUNDS = 4
+_DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
+_USUAL = 2.0  # times the error usual around it that a candidate may be off without burden
+_ROUNDS = 2
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -34,6 +36,7 @@ def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArr
 def place(
     candidates: NDArray[np.float64],
     normals: NDArray[np.float32],
+    error: NDArray[np.float32],
     owner: NDArray[np.int32],
     wanted: int,
     share: NDArray[np.float64],
@@ -45,6 +48,7 @@ def place(
     Args:
         candidates: ``(C, 3)`` float64, landed on the surface.
         normals: ``(C, 3)`` float32 unit.
+        error: ``(C,)`` float32 that each expects of itself, in spacings.
         owner: ``(C,)`` int32 nearest chart of each.
         wanted: number of points, at most ``C``.
         share: ``(M,)`` area of each chart, see :func:`shares`.
@@ -57,11 +61,28 @@ def place(
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
     reach = reach_of_share(share * (len(share) / wanted))
     lists = crowd(candidates, owner, near, reach[owner], _CROWD)
-    burden = _CHANCE * np.random.default_rng(seed).random(len(candidates))
+    burden = _doubt(error.astype(np.float64), owner, near)
+    burden += _CHANCE * np.random.default_rng(seed).random(len(candidates))
     kept = eliminate(candidates, lists, reach[owner], wanted, burden)
     spots, owner = candidates[kept], owner[kept]
     lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
     return repel(spots, normals[kept], lists, reach[owner], _ROUNDS), owner
+
+
+def _doubt(
+    error: NDArray[np.float64], owner: NDArray[np.int32], near: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Burden of candidates that expect a larger error than is usual around them.
+
+    Compared with their surroundings, not with the whole cloud: where all are unsure, as along an
+    edge, a burden on all would only tear a hole.
+    """
+    charts = len(near)
+    count = np.maximum(np.bincount(owner, minlength=charts), 1)
+    usual = (np.bincount(owner, error, charts) / count)[near].mean(axis=1)
+    excess = error / np.maximum(usual[owner], 1e-12) - _USUAL
+    burden: NDArray[np.float64] = _DOUBT * np.maximum(excess, 0.0)
+    return burden
 
 
 def nearest_charts(

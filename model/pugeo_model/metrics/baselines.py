@@ -81,7 +81,7 @@ class _Charts:
             normals += weight * normal
             total += weight
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return Landed(points / total, normals.astype(np.float32), near[:, 0])
+        return _landed(points / total, normals, near[:, 0])
 
 
 def plane(cloud: Cloud, ratio: float) -> Cloud:
@@ -104,13 +104,21 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     charts = _jets(job)
     rows = np.arange(len(job.points), dtype=np.int32)
     _, normals = charts.lift(rows, np.zeros((len(rows), 2)))
-    sparse = finish(job, [Landed(job.points, normals.astype(np.float32), rows)]).cloud
+    sparse = finish(job, [_landed(job.points, normals, rows)]).cloud
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
     wanted = Options(ratio).points_out(len(sparse))
     points = poisson_disk(vertices, faces, wanted, np.random.default_rng(0))
     _, face, _ = MeshDistance(vertices, faces).nearest(points)
     return Cloud(points, normals=face_normals(vertices, faces)[face].astype(np.float32))
+
+
+def _landed(
+    points: NDArray[np.float64], normals: NDArray[np.float64], nearest: NDArray[np.int32]
+) -> Landed:
+    """Points that expect the same error everywhere: these methods know nothing of theirs."""
+    even = np.ones(len(points), dtype=np.float32)
+    return Landed(points, normals.astype(np.float32), even, nearest)
 
 
 def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Cloud:
@@ -124,6 +132,7 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
     spots, owner = place(
         candidates.points,
         candidates.normals,
+        candidates.error,
         candidates.nearest,
         job.n_out,
         shares(job.frames.spacing, job.neighbours),

@@ -60,7 +60,7 @@ class Model:
             torch.from_numpy(landing.lift)[flat],
             torch.from_numpy(landing.quadric)[flat],
         )
-        step, normals, _, _ = blend(
+        step, normals, log_error, _ = blend(
             self.net.surface,
             charts,
             torch.from_numpy(offsets.astype(np.float32)),
@@ -71,5 +71,6 @@ class Model:
         return Landed(
             spots if landing.fixed else spots + step.numpy(),
             normals.numpy(),
+            log_error.clamp(max=0.0).exp().numpy(),
             landing.nearest,
         )
