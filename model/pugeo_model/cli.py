@@ -135,7 +135,7 @@ def train(
     meshes: Annotated[Path, typer.Argument(help="Folder of training meshes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the run; resumed if used.")],
     val: Annotated[Path | None, typer.Option(help="Folder of meshes never trained on.")] = None,
-    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 16_000,
+    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 17_400,
     seed: Annotated[int, typer.Option(help="Of weights and batches.")] = 0,
     threads: Annotated[int, typer.Option(help="Torch threads.")] = 1,
     name: Annotated[str, typer.Option(help="Name in the model card.")] = "standard",

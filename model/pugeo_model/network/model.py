@@ -14,6 +14,10 @@ from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
 __all__ = ["Model"]
 
+_FURTHEST = 1.25
+"""Spacings from its nearest input point that a point may lie at most. Holes of an even scan are
+0.85 wide; what a chart says beyond is invention, and on a spinning LiDAR's far field it flew off."""
+
 
 class Model:
     """A network ready to serve.
@@ -68,8 +72,14 @@ class Model:
             torch.from_numpy(landing.spacing)[rows],
         )
         spots = landing.spots
+        if not landing.fixed:
+            home = landing.points[landing.charts[:, 0]]
+            away = spots + step.numpy() - home
+            reach = _FURTHEST * landing.spacing[landing.charts[:, 0]]
+            distance = np.linalg.norm(away, axis=1)
+            spots = home + away * np.minimum(1.0, reach / np.maximum(distance, 1e-300))[:, None]
         return Landed(
-            spots if landing.fixed else spots + step.numpy(),
+            spots,
             normals.numpy(),
             log_error.clamp(max=0.0).exp().numpy(),
             landing.nearest,

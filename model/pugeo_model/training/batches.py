@@ -33,7 +33,7 @@ _CORE = 256
 _AROUND = 900  # points that hold the core's rings and their neighbours
 _TRUTHS = 1200  # ground-truth samples a patch
 _OWNERS = 6  # nearest inputs of a ground-truth sample, all of which must be core
-_REACHABLE = 1.7  # spacings: what lies further from any input is a hole in the data, not ours
+_REACHABLE = 1.1  # spacings: what lies further from any input is a hole in the data, not ours
 
 
 @dataclass(frozen=True, eq=False)

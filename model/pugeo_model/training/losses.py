@@ -34,7 +34,8 @@ class Weights:
     """Weights of the terms, and how noise lowers the weight of a patch.
 
     Attributes:
-        coverage: of ``z + z^2`` with ``z = R d^2 / s^2`` over true surface samples.
+        coverage: of ``z + z^2 / (1 + z)`` with ``z = R d^2 / s^2`` over true surface samples: holes
+            count double, but those of random inputs, which no chart can reach, do not rule.
         p2f: of the distance; ``3 R`` times its square, linear beyond 0.1 spacings, is always
             added, for outliers.
         coarse_normal: of ``T (0, 0, 1)``.
@@ -117,7 +118,7 @@ class JointLoss:
 
         expected = (log_error - torch.log(miss.detach() + 0.005)).abs()
         parts = {
-            "coverage": (held * (z + z.square())).sum(),
+            "coverage": (held * (z + z.square() / (1.0 + z))).sum(),
             "p2f": (share * miss).sum(),
             "outliers": (share * _outlying(miss)).sum(),
             "coarse_normal": (share * coarse_turn).sum(),
