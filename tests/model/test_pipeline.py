@@ -132,6 +132,17 @@ def test_every_normal_faces_the_viewpoint(upsampler, sphere):
         assert facing.min() > -1e-6
 
 
+def test_nothing_flies_off(upsampler):
+    """However scattered the input, no point lies further than 1.25 spacings from it."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(400, 3)) * np.exp(rng.normal(size=(400, 1)))
+    dense = upsampler(points, 8).cloud.points
+    apart = np.linalg.norm(dense[:, None] - points[None], axis=-1)
+    between = np.sort(np.linalg.norm(points[:, None] - points[None], axis=-1), axis=1)
+    spacing = between[:, 1:9].mean(axis=1)
+    assert (apart / spacing).min(axis=1).max() < 1.25 + 1e-6
+
+
 def test_dropped_points_are_counted(upsampler, sphere):
     """NaN rows and duplicates go, the report says how many, and the count follows what is left."""
     dirty = np.concatenate([sphere, sphere[:5], np.full((3, 3), np.nan)])

@@ -14,9 +14,9 @@ from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
 __all__ = ["Model"]
 
+# Spacings from its nearest input point that a point may lie at most. The widest holes of an even
+# scan are 0.85 deep; what a chart says beyond is invention: on a LiDAR's far field points flew off.
 _FURTHEST = 1.25
-"""Spacings from its nearest input point that a point may lie at most. Holes of an even scan are
-0.85 wide; what a chart says beyond is invention, and on a spinning LiDAR's far field it flew off."""
 
 
 class Model:
