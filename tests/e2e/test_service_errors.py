@@ -14,8 +14,6 @@ from pugeo_model import Cloud, formats
 
 GOOD = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
 MOST_S = 1.0
-# Busy machines: the promise is one second, a test that fails for a hiccup is worth nothing.
-PATIENCE_S = 4 * MOST_S
 
 
 class Server(Protocol):
@@ -127,7 +125,7 @@ def test_bad_input(server: Server, name: str) -> None:
     response = httpx2.post(url + query, content=body, headers=headers, timeout=30)
     spent = time.monotonic() - started
     check_problem(response, status)
-    assert spent < PATIENCE_S
+    assert spent < MOST_S
     good = httpx2.post(f"{url}?R=2", content=ply(GOOD), timeout=60)
     assert good.status_code == 200, good.text
 
