@@ -27,12 +27,12 @@ class Mix:
         noise: largest standard deviation, in spacings.
     """
 
-    noisy: float = 0.18
-    random: float = 0.1
+    noisy: float = 0.22
+    random: float = 0.12
     ramp: float = 0.03
     cut: float = 0.03
     lines: float = 0.04
-    noise: float = 0.35
+    noise: float = 0.5
 
 
 def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.float64], float]:

@@ -52,7 +52,7 @@ class Weights:
     refined_normal: float = 0.5
     blended: float = 3.0
     confidence: float = 0.05
-    noise: float = 8.0
+    noise: float = 3.0
 
 
 class JointLoss:

@@ -32,7 +32,8 @@ class Status:
     Attributes:
         workers: warm workers; none before the engine proved itself.
         expected: workers that there should be, or ``None`` where they run elsewhere.
-        lost: workers that ended without being told to.
+        lost: workers seen to end without being told to; one that comes and goes between two looks
+            is not seen.
     """
 
     workers: int
