@@ -32,6 +32,7 @@ NPY_MAGIC = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
 _KNOWN = ("points", "normals", "colors")
 _READ_BYTES = 1 << 20
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def sniff(head: bytes) -> bool:
@@ -162,6 +163,7 @@ def _read_archive(file: IO[bytes], limits: Limits) -> Cloud:
             name = entry.filename.removesuffix(".npy")
             if name in entries:
                 raise _bad(f"Array {name!r} is in the archive twice.")
+            _check_method(name, entry)
             entries[name] = entry
             with archive.open(entry) as member:
                 declared[name] = _declared(member, name)
@@ -220,6 +222,19 @@ def _normals(values: NDArray[Any]) -> NDArray[np.float32]:
     # What float32 cannot hold becomes infinite: cleaning deals with it, no warning needed.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(values, np.float32)
+
+
+def _check_method(name: str, entry: zipfile.ZipInfo) -> None:
+    """Allow the methods that numpy writes.
+
+    LZMA would allocate a dictionary of whatever size a member asks for, and its errors are none
+    of those that zipfile promises.
+    """
+    if entry.compress_type not in _METHODS:
+        raise _bad(
+            f"Array {name!r} is compressed by method {entry.compress_type}; archives of numpy, "
+            "stored or deflated, are read."
+        )
 
 
 def _check_directory(file: IO[bytes], limits: Limits) -> None:

@@ -196,9 +196,11 @@ def _by_name(table: NDArray[np.float64], names: list[str]) -> Cloud:
     kinds = ["i8" if _are_whole(values) else "f8" for values in table.T]
     properties = tuple(Property(n, k) for n, k in zip(names, kinds, strict=True))
     vertices = VertexColumns(Element("vertex", len(table), properties))
-    for name, values in zip(names, table.T, strict=True):
-        if name in vertices.sinks:
-            vertices.sinks[name][:] = values
+    # What float32 cannot hold becomes infinite: cleaning deals with it, no warning needed.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for name, values in zip(names, table.T, strict=True):
+            if name in vertices.sinks:
+                vertices.sinks[name][:] = values
     return vertices.cloud()
 
 

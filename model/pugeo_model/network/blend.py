@@ -12,13 +12,16 @@ from torch.nn import functional
 from pugeo_model.network.heads import Surface
 from pugeo_model.network.pugeo import Charts, evaluate
 
-__all__ = ["CHARTS", "blend", "parametrise"]
+__all__ = ["CHARTS", "FALLOFF", "TRUST", "blend", "parametrise"]
 
 CHARTS = 3
 """Charts blended for every output point."""
 
-_FALLOFF = 2.0  # of the blending weight with the squared distance in spacings
-_TRUST = 2.0  # power of the inverse expected error: inverse variance
+FALLOFF = 2.0
+"""Of the blending weight with the squared distance in spacings."""
+
+TRUST = 2.0
+"""Power of the inverse expected error: inverse variance."""
 
 
 def parametrise(charts: Charts, offsets: Tensor) -> Tensor:
@@ -61,7 +64,7 @@ def blend(
     normal = (normals.reshape(m, k, 1, 3) @ axes).squeeze(2)
     log_error = log_error.reshape(m, k)
     distance = local.square().sum(dim=-1)
-    weight = functional.softmax(-_FALLOFF * distance - _TRUST * log_error, dim=-1)
+    weight = functional.softmax(-FALLOFF * distance - TRUST * log_error, dim=-1)
     sign = torch.where((normal * normal[:, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
     blended = (weight.unsqueeze(-1) * step).sum(dim=1)
     direction = functional.normalize((weight.unsqueeze(-1) * sign * normal).sum(dim=1), dim=-1)

@@ -13,7 +13,10 @@ from pugeo_model.geometry.frames import QUADRIC
 from pugeo_model.network.pattern import disk
 from pugeo_model.network.precision import wide_products
 
-__all__ = ["Frame", "Samples", "Surface", "quadric"]
+__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric"]
+
+LOG_ERROR = -3.0
+"""Logarithm of the error, in spacings, that an untrained head expects of itself."""
 
 _DISK = 0.87  # side, in spacings, of the square as large as one point's share of the surface
 _TERMS = 8  # u, v, u^2, u v, v^2, quadric height and its two slopes
@@ -154,4 +157,4 @@ class Surface(nn.Module):
         displacement = height + lift.unsqueeze(1) + out[..., 0]
         up = torch.ones_like(displacement)
         normal = torch.stack([out[..., 1] - slope[..., 0], out[..., 2] - slope[..., 1], up], dim=-1)
-        return displacement, functional.normalize(normal, dim=-1), out[..., 3] - 3.0
+        return displacement, functional.normalize(normal, dim=-1), out[..., 3] + LOG_ERROR

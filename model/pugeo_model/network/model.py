@@ -8,9 +8,10 @@ import torch
 
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
-from pugeo_model.network.blend import blend
+from pugeo_model.network.landing import Lander
+from pugeo_model.network.memory import keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
-from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
+from pugeo_model.network.pugeo import PUGeoNet, evaluate
 
 __all__ = ["Model"]
 
@@ -33,6 +34,8 @@ class Model:
     def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
         self.net = net.eval()
         self.card = card
+        self._lander = Lander(self.net.surface)
+        keep_freed_memory()
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:
@@ -52,35 +55,19 @@ class Model:
             lift=charts.lift.numpy(),
         )
 
-    @torch.inference_mode()
     def land(self, landing: Landing) -> Landed:
         """Put every spot on the blend of its charts."""
-        rows = torch.from_numpy(landing.charts.astype(np.int64))
-        flat = rows.flatten()
-        offsets = landing.spots[:, None] - landing.points[landing.charts]
-        charts = Charts(
-            torch.from_numpy(landing.T)[flat],
-            torch.from_numpy(landing.code).to(torch.bfloat16)[flat],
-            torch.from_numpy(landing.lift)[flat],
-            torch.from_numpy(landing.quadric)[flat],
-        )
-        step, normals, log_error, _ = blend(
-            self.net.surface,
-            charts,
-            torch.from_numpy(offsets.astype(np.float32)),
-            torch.from_numpy(landing.axes)[rows],
-            torch.from_numpy(landing.spacing)[rows],
-        )
+        step, normals, log_error = self._lander(landing)
         spots = landing.spots
         if not landing.fixed:
             home = landing.points[landing.charts[:, 0]]
-            away = spots + step.numpy() - home
+            away = spots + step - home
             reach = _FURTHEST * landing.spacing[landing.charts[:, 0]]
             distance = np.linalg.norm(away, axis=1)
             spots = home + away * np.minimum(1.0, reach / np.maximum(distance, 1e-300))[:, None]
         return Landed(
             spots,
-            normals.numpy(),
-            log_error.clamp(max=0.0).exp().numpy(),
+            normals,
+            np.exp(np.minimum(log_error, 0.0)),
             landing.nearest,
         )

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
+from pugeo_model.network.memory import keep_freed_memory
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
@@ -85,6 +86,7 @@ class Trainer:
         validation: list[Shape] | None = None,
     ) -> None:
         torch.set_num_threads(recipe.threads)
+        keep_freed_memory()
         torch.manual_seed(recipe.seed)
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled landing against the rule that training differentiates."""
+
+import numpy as np
+import pytest
+import torch
+
+from pugeo_model.merge.atlas import Landing
+from pugeo_model.network.blend import blend
+from pugeo_model.network.heads import Surface
+from pugeo_model.network.landing import Lander
+from pugeo_model.network.precision import wide_products
+from pugeo_model.network.pugeo import Charts
+
+CHARTS, SPOTS, WIDTH = 40, 2500, 128
+
+
+def rotations(rng: np.random.Generator) -> np.ndarray:
+    """Random orthonormal frames ``(CHARTS, 3, 3)``."""
+    return np.linalg.qr(rng.normal(size=(CHARTS, 3, 3)))[0].astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def parcel() -> Landing:
+    """More spots than one pass takes, on charts of all sizes and directions."""
+    rng = np.random.default_rng(0)
+    points = 100.0 + rng.normal(size=(CHARTS, 3))
+    charts = rng.integers(CHARTS, size=(SPOTS, 3)).astype(np.int32)
+    spacing = rng.uniform(0.1, 0.3, CHARTS).astype(np.float32)
+    home = charts[:, 0]
+    spots = points[home] + rng.normal(size=(SPOTS, 3)) * spacing[home, None]
+    return Landing(
+        spots=spots,
+        charts=charts,
+        points=points,
+        axes=rotations(rng),
+        spacing=spacing,
+        quadric=rng.normal(scale=0.2, size=(CHARTS, 6)).astype(np.float32),
+        T=rotations(rng),
+        code=rng.normal(size=(CHARTS, WIDTH)).astype(np.float16),
+        lift=rng.normal(scale=0.1, size=CHARTS).astype(np.float32),
+        nearest=home,
+        fixed=False,
+    )
+
+
+def test_the_compiled_landing_follows_the_rule(parcel: Landing) -> None:
+    """Steps, normals and expected errors are those of ``blend``, up to bfloat16."""
+    torch.manual_seed(0)
+    surface = Surface(16, WIDTH)
+    with torch.no_grad():
+        surface.out.weight.mul_(30.0)
+    rows = torch.from_numpy(parcel.charts.astype(np.int64))
+    flat = rows.flatten()
+    charts = Charts(
+        torch.from_numpy(parcel.T)[flat],
+        torch.from_numpy(parcel.code).float()[flat],
+        torch.from_numpy(parcel.lift)[flat],
+        torch.from_numpy(parcel.quadric)[flat],
+    )
+    offsets = (parcel.spots[:, None] - parcel.points[parcel.charts]).astype(np.float32)
+    spacing = torch.from_numpy(parcel.spacing)[rows]
+    with torch.inference_mode(), wide_products():
+        step, normals, log_error, _ = blend(
+            surface,
+            charts,
+            torch.from_numpy(offsets),
+            torch.from_numpy(parcel.axes)[rows],
+            spacing,
+        )
+    found = Lander(surface)(parcel)
+    # A chart six spacings away extrapolates: relative to how far the spot is moved at all.
+    scale = 1.0 + step.norm(dim=1).numpy()
+    assert np.quantile(np.abs(found[0] - step.numpy()).max(axis=1) / scale, 0.99) < 0.01
+    assert np.quantile(np.abs(found[1] - normals.numpy()).max(axis=1), 0.95) < 0.02
+    assert np.quantile(np.abs(found[2] - log_error.numpy()), 0.99) < 0.05
+    assert np.allclose(np.linalg.norm(found[1], axis=1), 1.0, atol=1e-5)
+
+
+def test_a_landing_repeats_to_the_bit(parcel: Landing) -> None:
+    """The same parcel gives the same bytes, whatever the buffers held before."""
+    lander = Lander(Surface(16, WIDTH))
+    for first, second in zip(lander(parcel), lander(parcel), strict=True):
+        assert np.array_equal(first, second)
