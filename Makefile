@@ -14,7 +14,7 @@ INSTALL := $(PIP) install -qq --constraint constraints.txt
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-long serve lint format train bench constraints clean
+.PHONY: help install demo test test-long test-postgres serve lint format train bench openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ test: $(VENV)/.installed-dev ## run the tests (ARGS="-m 'not slow and not long'"
 
 test-long: $(VENV)/.installed-dev ## run the tests that take minutes
 	@$(BIN)/python -m pytest -m long $(ARGS)
+
+test-postgres: $(VENV)/.installed-dev ## run the tests of jobs on a PostgreSQL server of their own
+	@PUGEO_TEST_POSTGRES=1 $(BIN)/python -m pytest -m postgres tests/service/jobs $(ARGS)
 
 serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
 	@$(BIN)/python -m pugeo_service $(ARGS)
@@ -51,6 +54,10 @@ train: $(VENV)/.installed-dev ## train the network (ARGS="--help" tells how)
 
 bench: $(VENV)/.installed-dev ## print the figures of the README, with machine and commit
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
+	@$(BIN)/python -m pugeo_service.openapi > docs/openapi.new
+	@mv docs/openapi.new docs/openapi.json
 
 constraints: $(VENV)/.installed-dev ## write what .venv holds now into constraints.txt
 	@{ head -1 constraints.txt; $(PIP) freeze --exclude-editable 2>/dev/null | sed 's/+cpu$$//' | LC_ALL=C sort -f; } > constraints.new

@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from pugeo_client._client import Client, upsample
     from pugeo_client._result import Meta, Result
     from pugeo_client.errors import PugeoError
+    from pugeo_client.jobs import AsyncJob, Job
 
 __all__ = [
     "AsyncClient",
+    "AsyncJob",
     "Client",
+    "Job",
     "Meta",
     "PugeoError",
     "Result",
@@ -36,7 +39,9 @@ __all__ = [
 
 _HOMES = {
     "AsyncClient": "_aclient",
+    "AsyncJob": "jobs",
     "Client": "_client",
+    "Job": "jobs",
     "Meta": "_result",
     "PugeoError": "errors",
     "Result": "_result",

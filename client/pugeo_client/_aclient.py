@@ -11,11 +11,13 @@ from typing import Any, Self
 from pugeo_client import _wire
 from pugeo_client._attempts import Attempts, Progress
 from pugeo_client._http import httpx
+from pugeo_client._job import job_request, list_request, submission
 from pugeo_client._result import Result
 from pugeo_client._sink import Sink
 from pugeo_client._source import Source
 from pugeo_client._wire import Request
 from pugeo_client.errors import PugeoError, status_error
+from pugeo_client.jobs import AsyncJob
 
 __all__ = ["AsyncClient"]
 
@@ -103,6 +105,53 @@ class AsyncClient:
                 task.cancel()
             await asyncio.gather(*running, return_exceptions=True)
 
+    async def submit(
+        self,
+        src: Source,
+        ratio: float = 4,
+        *,
+        n_points: int | None = None,
+        orient: str = "auto",
+        viewpoint: Sequence[float] | None = None,
+        seed: int = 0,
+        format: str = "ply",
+        idempotency_key: str | None = None,
+        timeout: float | None = None,  # noqa: ASYNC109 - a limit on retries too
+        on_progress: Progress | None = None,
+    ) -> AsyncJob:
+        """Hand a cloud over to be made denser later; arguments as in `Client.submit`."""
+        request = _wire.upsample_request(
+            src,
+            ratio=ratio,
+            n_points=n_points,
+            orient=orient,
+            viewpoint=viewpoint,
+            seed=seed,
+            answer=format,
+        )
+        answer = await self._call(
+            submission(request, idempotency_key),
+            Sink(format="json", out=None),
+            timeout=timeout,
+            on_progress=on_progress,
+        )
+        return AsyncJob(self, _wire.read_json(answer.data))
+
+    async def job(self, job_id: str) -> AsyncJob:
+        """Find a job by its id."""
+        return AsyncJob(self, await self._json(job_request(job_id)))
+
+    async def jobs(self, *, state: str | None = None) -> AsyncIterator[AsyncJob]:
+        """Give all jobs of this API key, newest first, or those in one state."""
+        cursor = None
+        while True:
+            page = await self._json(list_request(state, cursor))
+            for told in page["jobs"]:
+                yield AsyncJob(self, told)
+            cursor = page["next"]
+            if cursor is None:
+                return
+
     async def health(self) -> dict[str, Any]:
         """How the service is now: status, reason, version, workers, queue. Never retried."""
         report: dict[str, Any] = await self._json(Request("GET", "/health"), max_retries=0)
@@ -124,9 +173,16 @@ class AsyncClient:
     async def __aexit__(self, *_: object) -> None:
         await self.aclose()
 
-    async def _json(self, request: Request, *, max_retries: int | None = None) -> Any:
+    async def _json(
+        self,
+        request: Request,
+        *,
+        timeout: float | None = None,  # noqa: ASYNC109 - as in `_call`
+        max_retries: int | None = None,
+    ) -> Any:
         sink = Sink(format="json", out=None)
-        return _wire.read_json((await self._call(request, sink, max_retries=max_retries)).data)
+        answer = await self._call(request, sink, timeout=timeout, max_retries=max_retries)
+        return _wire.read_json(answer.data)
 
     async def _call(
         self,
@@ -160,7 +216,7 @@ class AsyncClient:
                 request.method,
                 self.base_url + request.path,
                 params=request.params,
-                headers={**self._headers, **request.headers},
+                headers={**self._headers, **attempts.headers()},
                 content=body.achunks(attempts.meter("send")) if body else None,
                 timeout=attempts.phases(),
             ) as response:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tries of one call: its deadline, its retries, its progress."""
 
+import math
 import random
 import time
 from collections.abc import Callable, Mapping
@@ -18,6 +19,7 @@ Progress: TypeAlias = Callable[[str, int, int], None]
 
 LONGEST_CONNECT = 10.0  # seconds: a host that drops packets should cost a retry, not the call
 MOST_EXACT_WAIT = 1e-3  # an HTTP library refuses a timeout of 0
+LONGEST_WAIT = 1e6  # seconds; infinity is no number that a header takes
 
 
 class Attempts:
@@ -64,6 +66,15 @@ class Attempts:
         self.check()
         left = max(self.remaining, MOST_EXACT_WAIT)
         return httpx.Timeout(left, connect=min(left, LONGEST_CONNECT))
+
+    def headers(self) -> dict[str, str]:
+        """The headers of the next try.
+
+        ``Prefer: wait`` (RFC 7240) tells the service when nobody will wait any longer, so that
+        it neither begins nor goes on with what would come too late.
+        """
+        wait = {"Prefer": f"wait={max(1, math.ceil(min(self.remaining, LONGEST_WAIT)))}"}
+        return {**self.request.headers, **(wait if self.request.awaited else {})}
 
     def meter(
         self, stage: str, headers: Mapping[str, str] | None = None

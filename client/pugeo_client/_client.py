@@ -12,11 +12,13 @@ from typing import Any, Self
 from pugeo_client import _wire
 from pugeo_client._attempts import Attempts, Progress
 from pugeo_client._http import httpx
+from pugeo_client._job import job_request, list_request, submission
 from pugeo_client._result import Result
 from pugeo_client._sink import Sink
 from pugeo_client._source import Source
 from pugeo_client._wire import Request
 from pugeo_client.errors import PugeoError, status_error
+from pugeo_client.jobs import Job
 
 __all__ = ["Client", "upsample"]
 
@@ -136,6 +138,73 @@ class Client:
                 for waiting in running:
                     waiting.cancel()
 
+    def submit(
+        self,
+        src: Source,
+        ratio: float = 4,
+        *,
+        n_points: int | None = None,
+        orient: str = "auto",
+        viewpoint: Sequence[float] | None = None,
+        seed: int = 0,
+        format: str = "ply",
+        idempotency_key: str | None = None,
+        timeout: float | None = None,
+        on_progress: Progress | None = None,
+    ) -> Job:
+        """Hand a cloud over to be made denser later, also across restarts of the service.
+
+        Returns as soon as the service has the cloud safely on its disk.
+
+        Args:
+            src: as in `upsample`, like the other options that are not explained here.
+            ratio: how many times as many points.
+            n_points: exactly so many points, instead of ``ratio``.
+            orient: which side normals face.
+            viewpoint: ``(x, y, z)`` that normals face.
+            seed: of the placement.
+            format: of the result: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``.
+            idempotency_key: your own name of this job: submitting the same again under it gives
+                the same job, also from another process. By default a new one for each call.
+            timeout: seconds to hand it over; the client's own by default.
+            on_progress: called with ``"send"``, bytes done, bytes in all.
+
+        Raises:
+            Unprocessable: the key was used for another cloud or other options.
+            PugeoError: as `upsample`.
+        """
+        request = _wire.upsample_request(
+            src,
+            ratio=ratio,
+            n_points=n_points,
+            orient=orient,
+            viewpoint=viewpoint,
+            seed=seed,
+            answer=format,
+        )
+        answer = self._call(
+            submission(request, idempotency_key),
+            Sink(format="json", out=None),
+            timeout=timeout,
+            on_progress=on_progress,
+        )
+        return Job(self, _wire.read_json(answer.data))
+
+    def job(self, job_id: str) -> Job:
+        """Find a job by its id."""
+        return Job(self, self._json(job_request(job_id)))
+
+    def jobs(self, *, state: str | None = None) -> Iterator[Job]:
+        """Give all jobs of this API key, newest first, or those in one state."""
+        cursor = None
+        while True:
+            page = self._json(list_request(state, cursor))
+            for told in page["jobs"]:
+                yield Job(self, told)
+            cursor = page["next"]
+            if cursor is None:
+                return
+
     def health(self) -> dict[str, Any]:
         """How the service is now: status, reason, version, workers, queue. Never retried."""
         report: dict[str, Any] = self._json(Request("GET", "/health"), max_retries=0)
@@ -157,9 +226,12 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _json(self, request: Request, *, max_retries: int | None = None) -> Any:
+    def _json(
+        self, request: Request, *, timeout: float | None = None, max_retries: int | None = None
+    ) -> Any:
         sink = Sink(format="json", out=None)
-        return _wire.read_json(self._call(request, sink, max_retries=max_retries).data)
+        answer = self._call(request, sink, timeout=timeout, max_retries=max_retries)
+        return _wire.read_json(answer.data)
 
     def _call(
         self,
@@ -190,7 +262,7 @@ class Client:
                 request.method,
                 self.base_url + request.path,
                 params=request.params,
-                headers={**self._headers, **request.headers},
+                headers={**self._headers, **attempts.headers()},
                 content=body.chunks(attempts.meter("send")) if body else None,
                 timeout=attempts.phases(),
             ) as response:

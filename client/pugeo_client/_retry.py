@@ -3,7 +3,7 @@
 
 from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, PugeoError, StatusError
 
-__all__ = ["delay_before_retry"]
+__all__ = ["delay_before_retry", "may_succeed_later"]
 
 RETRIED_STATUS = frozenset({408, 425, 429, 502, 503, 504})
 RETRY_AFTER_CAP = 120.0
@@ -27,7 +27,7 @@ def delay_before_retry(
     Returns:
         Seconds to wait before the next try, or None: raise the failure.
     """
-    if attempt >= max_retries or not _may_succeed_later(failure):
+    if attempt >= max_retries or not may_succeed_later(failure):
         return None
     backoff = min(FIRST_DELAY * 2.0**attempt, LONGEST_DELAY)
     asked = failure.retry_after if isinstance(failure, StatusError) else None
@@ -41,7 +41,8 @@ def delay_before_retry(
     return delay if delay < remaining else None
 
 
-def _may_succeed_later(failure: PugeoError) -> bool:
+def may_succeed_later(failure: PugeoError) -> bool:
+    """Whether the same request may succeed at another time."""
     if isinstance(failure, StatusError):
         return failure.status in RETRIED_STATUS and failure.retryable is not False
     return isinstance(failure, ConnectionFailed) and not isinstance(failure, DeadlineExceeded)

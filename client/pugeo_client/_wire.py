@@ -40,13 +40,17 @@ _DROPPED = "pugeo-dropped-"
 
 @dataclass(frozen=True)
 class Request:
-    """One HTTP request, before any HTTP library sees it."""
+    """One HTTP request, before any HTTP library sees it.
+
+    ``awaited``: the service works while the caller waits, so that it should know for how long.
+    """
 
     method: str
     path: str
     params: Mapping[str, str] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     body: Body | None = None
+    awaited: bool = False
 
     @property
     def sendable(self) -> bool:
@@ -111,7 +115,7 @@ def upsample_request(
     headers = {"Content-Type": body.media_type, "Accept-Encoding": "identity"}
     if body.length is not None:
         headers["Content-Length"] = str(body.length)
-    return Request("POST", "/upsample", params=params, headers=headers, body=body)
+    return Request("POST", "/upsample", params=params, headers=headers, body=body, awaited=True)
 
 
 def read_json(body: bytes | None) -> Any:

@@ -13,6 +13,7 @@ PugeoError
    |- NotFound          404
    |- NotAcceptable     406  no such answer format
    |- Conflict          409
+   |- Gone              410  a job was cancelled, or its result is deleted
    |- TooLarge          413  larger than a limit of the service; `fields` names it
    |- UnsupportedFormat 415  not a point cloud format the service reads
    |- Unprocessable     422  an option out of range, or a cloud without a surface
@@ -33,6 +34,7 @@ __all__ = [
     "ConnectionFailed",
     "DeadlineExceeded",
     "Forbidden",
+    "Gone",
     "NotAcceptable",
     "NotFound",
     "PugeoError",
@@ -129,6 +131,10 @@ class Conflict(StatusError):
     """409: at odds with the state of the thing asked for."""
 
 
+class Gone(StatusError):
+    """410: the job was cancelled, or its result is deleted."""
+
+
 class TooLarge(StatusError):
     """413: larger than a stated limit of the service."""
 
@@ -164,6 +170,7 @@ _BY_STATUS: dict[int, type[StatusError]] = {
     404: NotFound,
     406: NotAcceptable,
     409: Conflict,
+    410: Gone,
     413: TooLarge,
     415: UnsupportedFormat,
     422: Unprocessable,
@@ -204,6 +211,11 @@ def status_error(status: int, headers: Mapping[str, str], body: bytes) -> Status
         retry_after=_seconds(headers.get("retry-after")),
         fields={name: value for name, value in problem.items() if name not in _KNOWN},
     )
+
+
+def problem_error(problem: Mapping[str, Any]) -> StatusError:
+    """Turn a problem document that came inside of another answer into its exception."""
+    return status_error(int(problem["status"]), {}, json.dumps(dict(problem)).encode())
 
 
 def _seconds(retry_after: str | None) -> float | None:

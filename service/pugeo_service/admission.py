@@ -1,63 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is let in: a queue bounded in patches, bytes and requests.
+"""Who is let in: a queue bounded in patches, bytes and requests, and shared among its owners.
 
 Patches are the unit because a request of a million points costs a thousand times one of a
 thousand points; a bound on requests alone would bound neither time nor memory.
+
+An owner (the name of an API key) may hold as much as is still free. One alone comes to half of
+the queue, two to a third each, n to a part in n + 1: whoever comes next always finds room, and
+no share has to be configured. Switches share their buffers by the same rule (dynamic
+thresholds).
 """
 
-import time
-from collections.abc import Callable
+from collections import defaultdict
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from pugeo_service.drain import DrainRate, Pace
 from pugeo_service.problems import Problem
 
-__all__ = ["Admission", "DrainRate", "Hold"]
+__all__ = ["Admission", "Hold"]
 
-_HALF_LIFE_S = 20.0
 _LONGEST_RETRY_S = 120.0
-
-
-class DrainRate:
-    """Patches finished per second of work, as a moving average that forgets by half in 20 s.
-
-    Idle time does not count: an idle service is not a slow one.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._patches = 0.0
-        self._seconds = 0.0
-        self._since: float | None = None
-
-    def start(self) -> None:
-        """Work begins after idleness."""
-        self._since = self._clock()
-
-    def stop(self) -> None:
-        """The queue ran empty."""
-        self.add(0)
-        self._since = None
-
-    def add(self, patches: int) -> None:
-        """Count patches that were just finished."""
-        now = self._clock()
-        elapsed = 0.0 if self._since is None else now - self._since
-        self._since = now
-        kept = 0.5 ** (elapsed / _HALF_LIFE_S)
-        self._patches = self._patches * kept + patches
-        self._seconds = self._seconds * kept + elapsed
-
-    @property
-    def per_second(self) -> float | None:
-        """Patches per second, or ``None`` before anything was measured."""
-        return self._patches / self._seconds if self._patches and self._seconds else None
 
 
 @dataclass
 class Totals:
-    """What is taken up: by one request, or by all together."""
+    """What is taken up: by one request, by one owner, or by all together."""
 
     patches: int = 0
     bytes: int = 0
@@ -80,7 +48,10 @@ class Admission:
         self.max_requests = max_requests
         self.draining = False
         self.rate = DrainRate()
+        self.pace = Pace()
         self.totals = Totals()
+        self.owners: defaultdict[str, Totals] = defaultdict(Totals)
+        self.entered: set[Hold] = set()
 
     @property
     def patches(self) -> int:
@@ -107,41 +78,60 @@ class Admission:
             and self.totals.bytes < self.max_bytes
         )
 
-    def hold(self) -> "Hold":
+    def hold(self, owner: str = "") -> "Hold":
         """Open an account for a request that begins.
 
+        Args:
+            owner: whose share it counts to; ``""`` for nobody's, where no keys are asked for.
+
         Raises:
-            Problem: 503 while draining or where there is no room for even the smallest.
+            Problem: 503 while draining or where there is no room for even the smallest, 429
+                where the owner holds its share of requests already.
         """
+        self.check_draining()
+        if not self.has_room:
+            raise self.full(1)
+        hold = Hold(self, owner)
+        hold.check_share(Totals(requests=1))
+        return hold
+
+    def check_draining(self) -> None:
+        """Raise a problem, 503, while the service shuts down."""
         if self.draining:
             detail = "The service is shutting down; another one may take the request."
             raise Problem(503, "draining", detail, retry_after=5)
-        if not self.has_room:
-            raise self.full(1)
-        return Hold(self)
 
     def full(self, patches: int) -> Problem:
         """Return the refusal of a request of ``patches``, with the time until there is room."""
-        excess = max(1, self.totals.patches + patches - self.max_patches)
-        rate = self.rate.per_second
-        # Nothing measured yet: a patch takes some tens of milliseconds on one processor.
-        wait = min(_LONGEST_RETRY_S, excess / (rate or 20.0))
+        now = self.totals
+        excess = now.patches + patches - self.max_patches
+        # Where requests or bytes are short and not patches, one request must end first.
+        wait = self.rate.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
         detail = "The queue is full; try again after the time in Retry-After."
         fields = {
-            "queued_patches": self.totals.patches,
+            "queued_patches": now.patches,
             "capacity_patches": self.max_patches,
-            "queued_requests": self.totals.requests,
+            "queued_requests": now.requests,
             "capacity_requests": self.max_requests,
         }
-        return Problem(503, "queue_full", detail, retry_after=wait, fields=fields)
+        return Problem(503, "queue_full", detail, retry_after=_bounded(wait), fields=fields)
+
+    def free(self) -> Totals:
+        """Return what is not taken up; never less than 0."""
+        return Totals(
+            max(0, self.max_patches - self.totals.patches),
+            max(0, self.max_bytes - self.totals.bytes),
+            max(0, self.max_requests - self.totals.requests),
+        )
 
 
 class Hold:
     """What one request takes up, given back on leaving the ``with`` block."""
 
-    def __init__(self, admission: Admission) -> None:
+    def __init__(self, admission: Admission, owner: str) -> None:
         self._admission = admission
-        self._mine = Totals()
+        self._owner = owner
+        self.mine = Totals()
 
     def __enter__(self) -> Self:
         return self
@@ -152,52 +142,132 @@ class Hold:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        total = self._admission.totals
-        total.patches -= self._mine.patches
-        total.bytes -= self._mine.bytes
-        total.requests -= self._mine.requests
-        if self._mine.requests and total.requests == 0:
-            self._admission.rate.stop()
-        self._mine = Totals()
+        admission, was_in = self._admission, self.mine.requests
+        self._take(Totals(-self.mine.patches, -self.mine.bytes, -self.mine.requests))
+        admission.entered.discard(self)
+        if admission.owners.get(self._owner) == Totals():
+            del admission.owners[self._owner]
+        if was_in and admission.requests == 0:
+            admission.rate.stop()
 
     def grow(self, size: int) -> None:
         """Account for ``size`` further bytes of the body.
 
         Raises:
-            Problem: 503 where all requests together hold too many.
+            Problem: 503 where all requests together hold too many, 429 where the owner does.
         """
         total = self._admission.totals
-        others = total.bytes - self._mine.bytes
+        others = total.bytes - self.mine.bytes
         if others and total.bytes + size > self._admission.max_bytes:
             raise self._admission.full(1)
-        total.bytes += size
-        self._mine.bytes += size
+        self.check_share(Totals(bytes=size))
+        self._take(Totals(bytes=size))
 
     def enter(self, patches: int) -> None:
         """Join the queue with an estimate of the patches (>= 1).
 
         Raises:
-            Problem: 503 where there is no room.
+            Problem: 503 where there is no room, 429 where there is and the owner has its share.
         """
-        total = self._admission.totals
-        if self._admission.draining:
-            self._admission.hold()
-        crowded = total.requests and total.patches + patches > self._admission.max_patches
-        if crowded or total.requests >= self._admission.max_requests:
-            raise self._admission.full(patches)
+        admission, total = self._admission, self._admission.totals
+        admission.check_draining()
+        crowded = total.requests and total.patches + patches > admission.max_patches
+        if crowded or total.requests >= admission.max_requests:
+            raise admission.full(patches)
+        self.check_share(Totals(patches=patches, requests=1))
         if total.requests == 0:
-            self._admission.rate.start()
-        total.requests += 1
-        self._mine.requests = 1
-        self.resize(patches)
+            admission.rate.start()
+        admission.entered.add(self)
+        self._take(Totals(patches=patches, requests=1))
 
     def resize(self, patches: int) -> None:
         """Replace the estimate by what is known now to remain."""
-        self._admission.totals.patches += patches - self._mine.patches
-        self._mine.patches = patches
+        self._take(Totals(patches=patches - self.mine.patches))
 
     def finish(self, patches: int) -> None:
         """Count ``patches`` as done."""
-        done = min(patches, self._mine.patches)
-        self.resize(self._mine.patches - done)
+        self._take(Totals(patches=-min(patches, self.mine.patches)))
         self._admission.rate.add(patches)
+
+    def check_share(self, more: Totals) -> None:
+        """Refuse what would give the owner more than is left for everybody else.
+
+        An owner's only request is never its own obstacle, however large.
+
+        Raises:
+            Problem: 429.
+        """
+        if not self._owner:
+            return
+        free = self._admission.free()
+        for unit in ("patches", "bytes", "requests"):
+            wanted = getattr(more, unit)
+            held = getattr(self._admission.owners.get(self._owner, Totals()), unit)
+            elsewhere = held - getattr(self.mine, unit)
+            if wanted and elsewhere and held + wanted > getattr(free, unit):
+                raise self._too_much(unit, held, wanted, getattr(free, unit))
+
+    def check_deadline(self, left: float, workers: int, *, sized: bool) -> None:
+        """Refuse at once what cannot be done in time.
+
+        Requests with less to do go first, so those are what this one waits for. All times are
+        lower bounds, the network's part alone: to refuse what might have been served is worse
+        than to give up late.
+
+        Args:
+            left: seconds until the client stops waiting.
+            workers: how many share the work.
+            sized: whether the patches are counted; an estimate counts only those of others.
+
+        Raises:
+            Problem: 503 where the queue is the cause, 504 where the cloud itself takes longer.
+        """
+        mine = self.mine.patches
+        ahead = sum(
+            other.mine.patches
+            for other in self._admission.entered
+            if other is not self and other.mine.patches <= mine
+        )
+        alone = self._admission.pace.least_seconds(mine, workers) if sized else 0.0
+        before = self._admission.pace.least_seconds(ahead, workers)
+        if alone > left:
+            detail = (
+                f"This cloud takes {alone:.0f} s at the very least, and there are {left:.0f} s "
+                "left. Ask for a longer wait, or for no limit."
+            )
+            fields = {"patches": mine, "seconds_left": round(left, 1)}
+            raise Problem(504, "deadline_too_short", detail, retryable=False, fields=fields)
+        if before + alone > left:
+            detail = (
+                f"Requests that come first take {before:.0f} s at the very least, and there are "
+                f"{left:.0f} s left."
+            )
+            fields = {"patches_ahead": ahead, "seconds_left": round(left, 1)}
+            wait = _bounded(before + alone - left)
+            raise Problem(503, "deadline_unmeetable", detail, retry_after=wait, fields=fields)
+
+    def _take(self, more: Totals) -> None:
+        for account in (self.mine, self._admission.totals, self._admission.owners[self._owner]):
+            account.patches += more.patches
+            account.bytes += more.bytes
+            account.requests += more.requests
+
+    def _too_much(self, unit: str, held: int, wanted: int, free: int) -> Problem:
+        admission = self._admission
+        mine, total = admission.owners[self._owner], admission.totals
+        # What is given back is both no longer held and free: half of the gap is enough.
+        gap = (held + wanted - free) / 2
+        patches = gap if unit == "patches" else mine.patches / max(1, mine.requests)
+        # The workers are shared with the others' patches.
+        wait = admission.rate.seconds(patches * max(1, total.patches) / max(1, mine.patches))
+        detail = (
+            f"This API key holds {held:,} {unit} of the queue and asks for {wanted:,} more, but "
+            f"{free:,} are free and it may hold no more than that. Try again after the time in "
+            "Retry-After."
+        )
+        fields = {"unit": unit, "held": held, "wanted": wanted, "free": free}
+        return Problem(429, "share_exceeded", detail, retry_after=_bounded(wait), fields=fields)
+
+
+def _bounded(seconds: float) -> float:
+    return min(_LONGEST_RETRY_S, max(1.0, seconds))

@@ -2,6 +2,7 @@
 """The answer to an upsampling request: its bytes, and what was done in headers."""
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from starlette.responses import Response
@@ -10,27 +11,41 @@ from starlette.types import Receive, Scope, Send
 from pugeo_service.engine import Outcome
 from pugeo_service.negotiation import Offer
 
-__all__ = ["DenseAnswer", "answer_headers"]
+__all__ = ["DenseAnswer", "answer_headers", "run_headers"]
 
 # Servers in between refuse headers much longer than this.
 _NOTES_BYTES = 2048
 
 
 def answer_headers(outcome: Outcome, offer: Offer, card: dict[str, Any]) -> dict[str, str]:
+    """Return all headers of an answer that is sent as soon as it is there."""
+    return {
+        **run_headers(outcome.report, outcome.seconds, offer, card),
+        "Content-Length": str(outcome.spool.size),
+        "Vary": "Accept",
+    }
+
+
+def run_headers(
+    report: dict[str, Any], seconds: dict[str, float], offer: Offer, model: Mapping[str, Any]
+) -> dict[str, str]:
     """Say in headers what was done.
 
     ``Pugeo-Notes`` is a JSON array of sentences in ASCII, ``Server-Timing`` is in milliseconds.
+
+    Args:
+        report: the model's report of the run.
+        seconds: of each stage.
+        offer: format of the bytes.
+        model: ``version`` and ``sha256`` of the weights.
     """
-    report = outcome.report
     dropped = report["dropped"]
-    timing = [f"{stage};dur={1000 * spent:.1f}" for stage, spent in outcome.seconds.items()]
+    timing = [f"{stage};dur={1000 * spent:.1f}" for stage, spent in seconds.items()]
     return {
         "Content-Type": offer.media_type,
-        "Content-Length": str(outcome.spool.size),
         "Content-Disposition": f'attachment; filename="upsampled.{offer.extension}"',
-        "Vary": "Accept",
-        "Pugeo-Model-Version": str(card["version"]),
-        "Pugeo-Model-Sha256": str(card["sha256"]),
+        "Pugeo-Model-Version": str(model["version"]),
+        "Pugeo-Model-Sha256": str(model["sha256"]),
         "Pugeo-Points-In": str(report["points_in"]),
         "Pugeo-Points-Out": str(report["points_out"]),
         "Pugeo-Dropped-Non-Finite": str(dropped["non_finite"]),

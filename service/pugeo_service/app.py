@@ -8,13 +8,18 @@ from typing import Any
 
 import structlog
 from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
 
 from pugeo_model import weights
-from pugeo_service import __version__, problems
+from pugeo_service import __version__, openapi, problems, tracing
 from pugeo_service.admission import Admission
 from pugeo_service.engine import Engine
+from pugeo_service.guard import CORS, RequireKey
+from pugeo_service.jobs import Jobs
+from pugeo_service.keys import Keys
 from pugeo_service.middleware import RequestContext
-from pugeo_service.routes import health, metrics, models, upsample
+from pugeo_service.routes import docs, health, metrics, models, upsample
+from pugeo_service.routes import jobs as job_routes
 from pugeo_service.settings import Settings
 from pugeo_service.state import Service
 from pugeo_service.telemetry import Readings, Telemetry
@@ -37,16 +42,31 @@ def create_service(settings: Settings) -> Service:
     def read() -> Readings:
         status = engine.status
         return Readings(
-            queue_patches=admission.patches,
+            queue_patches=admission.patches + jobs.admission.patches,
             queue_capacity=admission.max_patches,
-            queue_bytes=admission.bytes,
+            queue_bytes=admission.bytes + jobs.arriving.bytes,
             workers_warm=status.workers,
             workers_missing=max(0, (status.expected or 0) - status.workers),
             workers_lost=status.lost,
+            patches_retried=status.retried,
+            jobs_queued=jobs.usage.queued,
+            jobs_running=jobs.usage.running,
+            jobs_bytes=jobs.usage.bytes,
         )
 
     model = {key: str(card[key]) for key in ("name", "version", "sha256")}
-    return Service(settings, engine, admission, Telemetry(read, __version__, model), card)
+    telemetry = Telemetry(read, __version__, model)
+    weights_used = {key: model[key] for key in ("version", "sha256")}
+    jobs = Jobs(settings, engine, telemetry, weights_used)
+    return Service(
+        settings=settings,
+        engine=engine,
+        admission=admission,
+        jobs=jobs,
+        keys=Keys(settings.api_keys_file, settings.api_keys),
+        telemetry=telemetry,
+        card=card,
+    )
 
 
 def create_app(
@@ -64,10 +84,13 @@ def create_app(
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # In the background: a probe must be answered while the model is still loading.
         starting = asyncio.create_task(_start(service, on_fatal))
+        await service.jobs.start()
         yield
-        service.admission.draining = True
+        service.drain()
         starting.cancel()
         await asyncio.gather(starting, return_exceptions=True)
+        # Before the workers: jobs that run are put back, and their tasks go first.
+        await service.jobs.stop()
         await service.engine.stop()
 
     app = FastAPI(
@@ -79,12 +102,21 @@ def create_app(
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
+        telemetry=tracing.configuration(),
     )
     app.state.service = service
     problems.install(app)
+    # The last one added is the outermost. A preflight carries no key, so CORS stands before keys.
+    if service.keys.required:
+        app.add_middleware(RequireKey, keys=service.keys, telemetry=service.telemetry)
+    if service.settings.cors_origins:
+        app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, models, health, metrics):
+    for module in (upsample, job_routes, models, health, docs):
         app.include_router(module.router)
+    if service.settings.metrics_port is None:
+        app.include_router(metrics.router)
+    openapi.install(app)
     return app
 
 

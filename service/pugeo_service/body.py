@@ -4,6 +4,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from starlette.requests import Request
 
@@ -12,9 +13,12 @@ from pugeo_service.admission import Hold
 from pugeo_service.multipart import FilePart
 from pugeo_service.problems import Problem
 from pugeo_service.settings import Settings
-from pugeo_service.spool import Spool
+from pugeo_service.spool import Sink, Spool
+from pugeo_service.storage import storage_problems
 
-__all__ = ["ACCEPTED", "Body", "ClientGone", "receive_body"]
+__all__ = ["ACCEPTED", "Body", "ClientGone", "receive_body", "receive_into"]
+
+S = TypeVar("S", bound=Sink)
 
 # Types that promise nothing, so that the content decides. The form type is what
 # `curl --data-binary @scan.ply` says when nobody tells it otherwise.
@@ -38,7 +42,7 @@ class ClientGone(Exception):
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(Generic[S]):
     """A body that arrived whole.
 
     Attributes:
@@ -46,22 +50,55 @@ class Body:
         format: the model's name of the format, or ``None`` where the content decides.
     """
 
-    spool: Spool
+    spool: S
     format: str | None
 
 
-async def receive_body(request: Request, settings: Settings, hold: Hold) -> Body:
+async def receive_body(request: Request, settings: Settings, hold: Hold) -> Body[Spool]:
+    """Take a request's body in for as long as the request lasts; see `receive_into`."""
+    with storage_problems():
+        spool = Spool(settings.spool_dir)
+    return await receive_into(spool, request, settings, hold)
+
+
+async def receive_into(sink: S, request: Request, settings: Settings, hold: Hold) -> Body[S]:
     """Take a request's body in, raw or as the multipart part ``file``.
 
     Args:
+        sink: takes the bytes; it is closed if anything goes wrong.
         request: a request whose body nobody has read.
-        settings: the limit of bytes and the folder to spool to.
+        settings: the limit of bytes.
         hold: grows with each byte, and so bounds what all requests hold together.
 
     Raises:
-        Problem: 400 empty or malformed, 408 too slow, 413 too large, 415 another content.
+        Problem: 400 empty or malformed, 408 too slow, 413 too large, 415 another content,
+            503 where the disk is full or fails.
         ClientGone: the connection was closed.
     """
+    try:
+        part, kind = _declared(request)
+        arriving = _arriving(request, settings, hold)
+        async for data in arriving if part is None else part.data(arriving):
+            with storage_problems():
+                await sink.write(data)
+        _check_filled(sink)
+    except BaseException:
+        sink.close()
+        raise
+    if part is not None:
+        # Browsers and libraries guess the type of a part, so an unknown one decides nothing.
+        kind = part.content_type.partition(";")[0].strip().lower()
+    return Body(sink, ACCEPTED.get(kind))
+
+
+def _check_filled(sink: Sink) -> None:
+    if sink.size == 0:
+        detail = "The body is empty; send a point cloud as PLY, NPY, NPZ, JSON or text."
+        raise Problem(400, "empty_body", detail)
+
+
+def _declared(request: Request) -> tuple[FilePart | None, str]:
+    """Return what finds the file in the body, if it is a form, and the type it claims to have."""
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding not in ("", "identity"):
         detail = f"Content-Encoding {encoding[:40]!r} is not understood; send plain bytes."
@@ -72,24 +109,7 @@ async def receive_body(request: Request, settings: Settings, hold: Hold) -> Body
         types = [_MULTIPART, *(name for name in ACCEPTED if name)]
         detail = f"Content-Type {kind[:80]!r} is not a point cloud. Accepted: {', '.join(types)}."
         raise Problem(415, "unsupported_media_type", detail, fields={"accepted": types})
-
-    part = FilePart(declared) if kind == _MULTIPART else None
-    arriving = _arriving(request, settings, hold)
-    spool = Spool(settings.spool_dir)
-    try:
-        async for data in arriving if part is None else part.data(arriving):
-            await spool.write(data)
-    except BaseException:
-        spool.close()
-        raise
-    if spool.size == 0:
-        spool.close()
-        detail = "The body is empty; send a point cloud as PLY, NPY, NPZ, JSON or text."
-        raise Problem(400, "empty_body", detail)
-    if part is not None:
-        # Browsers and libraries guess the type of a part, so an unknown one decides nothing.
-        kind = part.content_type.partition(";")[0].strip().lower()
-    return Body(spool, ACCEPTED.get(kind))
+    return FilePart(declared) if kind == _MULTIPART else None, kind
 
 
 async def _arriving(request: Request, settings: Settings, hold: Hold) -> AsyncIterator[bytes]:

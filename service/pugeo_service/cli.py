@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``pugeo serve``."""
+"""``pugeo serve`` and ``pugeo keys``."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-__all__ = ["serve"]
+__all__ = ["keys", "serve"]
 
 Option = typer.Option
 
@@ -38,6 +38,15 @@ def serve(
     spool_dir: Annotated[
         Path | None, Option(help="Folder of bodies and results on their way.")
     ] = None,
+    metrics_port: Annotated[
+        int | None, Option(help="Serve metrics there, and not on the main port.")
+    ] = None,
+    api_keys_file: Annotated[
+        Path | None, Option(help="File of API keys (`pugeo keys new` makes one) [no keys].")
+    ] = None,
+    cors_origins: Annotated[
+        str | None, Option(help="Origins whose pages may call the service, with commas.")
+    ] = None,
     log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
     log_level: Annotated[str | None, Option(help="debug, info, warning or error [info].")] = None,
 ) -> None:
@@ -50,3 +59,26 @@ def serve(
     from pugeo_service.server import main
 
     raise typer.Exit(main(given))
+
+
+def keys(
+    action: Annotated[Literal["new"], typer.Argument(help="new: make a key.")],
+    name: Annotated[str, typer.Argument(help="Whose key it is; logs and limits go by it.")],
+) -> None:
+    """Make an API key: its entry goes to stdout, the key itself, this once, to stderr.
+
+    Append the entry to the file that PUGEO_API_KEYS_FILE names: pugeo keys new NAME >> FILE. The
+    service reads the file again by itself. Taking a line out of it takes the key back.
+    """
+    del action  # there is but one
+    from pugeo_service.keys import Entry, hash_of, new_token, parse
+
+    token = new_token()
+    entry = Entry(name, hash_of(token))
+    try:
+        parse([str(entry)])
+    except ValueError:
+        detail = "1 to 64 letters, digits, dots, dashes and underscores"
+        raise typer.BadParameter(detail, param_hint="NAME") from None
+    typer.echo(f"The key, shown this once: {token}", err=True)
+    typer.echo(str(entry))

@@ -7,6 +7,8 @@ from typing import Any
 
 import structlog
 
+from pugeo_service.tracing import add_trace
+
 __all__ = ["configure"]
 
 
@@ -25,12 +27,17 @@ def configure(log_format: str, level: str) -> None:
         structlog.stdlib.add_logger_name,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
         structlog.stdlib.ExtraAdder(),
+        add_trace,
     ]
     last: list[Any]
+    # Frames and messages, and never the values of variables: those are somebody's points.
     if log_format == "json":
-        last = [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer()]
+        tracebacks = structlog.tracebacks.ExceptionDictTransformer(show_locals=False)
+        render = structlog.processors.ExceptionRenderer(tracebacks)
+        last = [render, structlog.processors.JSONRenderer()]
     else:
-        last = [structlog.dev.ConsoleRenderer()]
+        plain = structlog.dev.plain_traceback
+        last = [structlog.dev.ConsoleRenderer(exception_formatter=plain)]
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
         logger_factory=structlog.stdlib.LoggerFactory(),

@@ -14,7 +14,9 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from pugeo_service import tracing
 from pugeo_service.body import ClientGone
+from pugeo_service.guard import harden
 from pugeo_service.problems import internal_error
 from pugeo_service.telemetry import Telemetry
 
@@ -66,11 +68,14 @@ class _Exchange:
         async def observed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self._status = message["status"]
-                MutableHeaders(scope=message)["X-Request-ID"] = self._id
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-ID"] = self._id
+                harden(headers)
             elif message["type"] == "http.response.body":
                 self._sent += len(message.get("body", b""))
             await send(message)
 
+        tracing.tag(request_id=self._id)
         start = time.perf_counter()
         with (
             structlog.contextvars.bound_contextvars(request_id=self._id),
@@ -106,4 +111,5 @@ class _Exchange:
             status=self._status or 499,
             seconds=round(seconds, 4),
             bytes_out=self._sent,
+            **({"owner": owner} if (owner := scope["state"].get("owner")) else {}),
         )

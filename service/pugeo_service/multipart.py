@@ -27,7 +27,7 @@ class FilePart:
         content_type: the part's own ``Content-Type`` once its headers are read, or ``""``.
 
     Raises:
-        Problem: 400 for a missing boundary.
+        Problem: 400 for a boundary that is missing or too long.
     """
 
     def __init__(self, content_type: str) -> None:
@@ -42,18 +42,22 @@ class FilePart:
         self._seen = False
         self._ended = False
         self._data: list[bytes] = []
-        self._parser = MultipartParser(
-            boundary,
-            {
-                "on_part_begin": self._headers.clear,
-                "on_header_field": self._on_header_field,
-                "on_header_value": self._on_header_value,
-                "on_header_end": self._on_header_end,
-                "on_headers_finished": self._on_headers_finished,
-                "on_part_data": self._on_part_data,
-                "on_end": self._on_end,
-            },
-        )
+        try:
+            self._parser = MultipartParser(
+                boundary,
+                {
+                    "on_part_begin": self._headers.clear,
+                    "on_header_field": self._on_header_field,
+                    "on_header_value": self._on_header_value,
+                    "on_header_end": self._on_header_end,
+                    "on_headers_finished": self._on_headers_finished,
+                    "on_part_data": self._on_part_data,
+                    "on_end": self._on_end,
+                },
+            )
+        except FormParserError as error:
+            detail = "The boundary of the multipart body is longer than the 256 bytes allowed."
+            raise Problem(400, "malformed_multipart", detail) from error
 
     async def data(self, body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         """Yield the bytes of the part ``file`` from the bytes of the whole body.

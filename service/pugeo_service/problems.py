@@ -25,6 +25,7 @@ __all__ = [
     "MEDIA_TYPE",
     "PROBLEM_SCHEMA",
     "Problem",
+    "bug",
     "install",
     "internal_error",
     "problem_responses",
@@ -41,6 +42,7 @@ _STATUS: dict[type[CloudError], int] = {
 }
 _CODE = {
     400: "bad_request",
+    401: "unauthorized",
     404: "not_found",
     405: "method_not_allowed",
     413: "body_too_large",
@@ -114,28 +116,42 @@ class Problem(Exception):
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
         return cls(status, error.code, error.message, fields=error.fields)
 
-    def response(self, scope: Mapping[str, Any]) -> Response:
-        """Build the answer for the request of an ASGI ``scope``."""
+    def members(self, instance: str, request_id: str) -> dict[str, Any]:
+        """Return the members of the problem document.
+
+        Args:
+            instance: path of what it happened to.
+            request_id: names it in the log.
+        """
         # RFC 9457: what a client sent may name a member; the standard ones stay ours.
-        members: dict[str, Any] = {
+        return {
             **self.fields,
             "type": f"urn:pugeo:problem:{self.code}",
             "title": HTTPStatus(self.status).phrase,
             "status": self.status,
             "detail": self.detail,
-            "instance": scope.get("path", ""),
+            "instance": instance,
             "code": self.code,
-            "request_id": scope.get("state", {}).get("request_id", ""),
+            "request_id": request_id,
             "retryable": self.retryable,
         }
+
+    def response(self, scope: Mapping[str, Any]) -> Response:
+        """Build the answer for the request of an ASGI ``scope``."""
+        members = self.members(scope.get("path", ""), scope.get("state", {}).get("request_id", ""))
         body = orjson.dumps(members, default=str, option=orjson.OPT_SERIALIZE_NUMPY)
         return Response(body, self.status, headers=self.headers, media_type=MEDIA_TYPE)
 
 
-def internal_error(scope: Mapping[str, Any]) -> Response:
-    """Build the answer to a bug: it says nothing but where to look."""
+def bug() -> Problem:
+    """Return what is told of an error that nobody expected: nothing but where to look."""
     detail = "An error of the service itself; its log has the cause under this request_id."
-    return Problem(500, "internal_error", detail, retryable=False).response(scope)
+    return Problem(500, "internal_error", detail, retryable=False)
+
+
+def internal_error(scope: Mapping[str, Any]) -> Response:
+    """Build the answer to a bug."""
+    return bug().response(scope)
 
 
 def install(app: FastAPI) -> None:

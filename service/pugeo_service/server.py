@@ -12,13 +12,16 @@ from typing import Any
 
 import structlog
 import uvicorn
+from prometheus_client import start_http_server
 from pydantic import ValidationError
 
 from pugeo_model.errors import CloudError
-from pugeo_service import logs
-from pugeo_service.admission import Admission
+from pugeo_service import logs, tracing
 from pugeo_service.app import create_app
+from pugeo_service.connection import Connection
 from pugeo_service.settings import Settings
+from pugeo_service.state import Service
+from pugeo_service.telemetry import Telemetry
 
 __all__ = ["main", "serve"]
 
@@ -27,9 +30,9 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class _Server(uvicorn.Server):
-    def __init__(self, config: uvicorn.Config, admission: Admission, delay_s: float) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, delay_s: float) -> None:
         super().__init__(config)
-        self._admission = admission
+        self._service = service
         self._delay_s = delay_s
         self.failed = False
 
@@ -45,12 +48,14 @@ class _Server(uvicorn.Server):
                 signal.signal(number, handler)
 
     def handle_exit(self, sig: int, _frame: FrameType | None) -> None:
-        if self._admission.draining:
+        if self._service.admission.draining:
             self.should_exit = True
             self.force_exit = sig == signal.SIGINT
             return
-        self._admission.draining = True
+        self._service.admission.draining = True
         loop = asyncio.get_event_loop()
+        # What a signal handler interrupts may be about to look at the very things this changes.
+        loop.call_soon_threadsafe(self._service.drain)
         # Load balancers need a moment to see "draining" before connections are refused.
         loop.call_soon_threadsafe(loop.call_later, self._delay_s, self._exit)
 
@@ -83,6 +88,9 @@ def serve(settings: Settings) -> int:
 
     The address is printed on stdout, so that whoever asked for port 0 learns which one it is.
     """
+    if hint := tracing.missing_extra():
+        sys.stderr.write(hint + "\n")
+        return 2
     logs.configure(settings.log_format, settings.log_level)
     server: _Server | None = None
 
@@ -99,23 +107,44 @@ def serve(settings: Settings) -> int:
         app,
         host=settings.host,
         port=settings.port,
+        http=Connection,
+        ws="none",
         log_config=None,
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=settings.drain_s,
     )
-    try:
-        listener = _listen(settings.host, settings.port)
-    except OSError as error:
-        _log.error("cannot listen", host=settings.host, port=settings.port, reason=str(error))
-        return 1
-    server = _Server(config, app.state.service.admission, settings.drain_delay_s)
-    port = listener.getsockname()[1]
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    sys.stdout.write(f"pugeo serves http://{host}:{port}\n")
-    sys.stdout.flush()
-    server.run(sockets=[listener])
+    service: Service = app.state.service
+    with contextlib.ExitStack() as opened:
+        port = settings.port
+        try:
+            listener = opened.enter_context(_listen(settings.host, port))
+            if settings.metrics_port is not None:
+                port = settings.metrics_port
+                opened.enter_context(_metrics(settings.host, port, service.telemetry))
+        except OSError as error:
+            _log.error("cannot listen", host=settings.host, port=port, reason=str(error))
+            return 1
+        server = _Server(config, service, settings.drain_delay_s)
+        port = listener.getsockname()[1]
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        sys.stdout.write(f"pugeo serves http://{host}:{port}\n")
+        sys.stdout.flush()
+        server.run(sockets=[listener])
     return 1 if server.failed else 0
+
+
+@contextlib.contextmanager
+def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
+    """Serve metrics on a port of their own, from a thread of their own."""
+    server, thread = start_http_server(port, host, telemetry.registry)
+    _log.info("metrics", port=server.server_port)
+    try:
+        yield
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can be set, from the environment (``PUGEO_*``) or the command line."""
 
+import os
+import re
 import tempfile
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from pugeo_service import keys
 from pugeo_service.cpus import available_cpus
 
 __all__ = ["Settings"]
 
 MIB = 1 << 20
+_ORIGIN = re.compile(r"https?://[^/\s,*?#]+")
 
 
 class Settings(BaseSettings):
@@ -22,6 +26,22 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="0 takes a free port")] = 8000
+    metrics_port: Annotated[
+        int | None, Field(ge=0, le=65535, description="metrics there, and not on the main port")
+    ] = None
+    api_keys: Annotated[
+        tuple[keys.Entry, ...] | None,
+        NoDecode,
+        Field(description="NAME:SHA256 of each key, with commas; without any, all may come in"),
+    ] = None
+    api_keys_file: Annotated[
+        Path | None, Field(description="file of such entries, read again when it changes")
+    ] = None
+    cors_origins: Annotated[
+        tuple[str, ...],
+        NoDecode,
+        Field(description="origins whose pages may call the service, with commas; * for all"),
+    ] = ()
     log_format: Literal["auto", "json", "console"] = "auto"
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
@@ -60,12 +80,60 @@ class Settings(BaseSettings):
         Path(tempfile.gettempdir())
     )
 
+    jobs_dir: Annotated[
+        Path | None, Field(description="folder of jobs; durable where that folder is")
+    ] = None
+    database_url: Annotated[
+        str | None, Field(description="postgresql://... for jobs, instead of SQLite in jobs_dir")
+    ] = None
+    jobs_queue: Annotated[int, Field(ge=1, description="jobs queued or running")] = 1000
+    jobs_bytes: Annotated[int, Field(ge=1, description="bytes of inputs and results kept")] = (
+        16 * 1024 * MIB
+    )
+    jobs_running: Annotated[int, Field(ge=1, description="jobs that run at one time")] = 2
+    jobs_ttl_s: Annotated[float, Field(gt=0, description="seconds a result is kept")] = 86400.0
+    jobs_deadline_s: Annotated[float, Field(gt=0, description="seconds a job may run")] = 3600.0
+
+    @field_validator("api_keys", mode="before")
+    @classmethod
+    def _entries(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        entries = keys.parse(value.split(","))
+        if not entries:
+            # A secret that failed to arrive must not open the door.
+            raise ValueError("holds no key; unset it to let everybody in")
+        return entries
+
+    @field_validator("api_keys_file", mode="before")
+    @classmethod
+    def _named(cls, value: Any) -> Any:
+        if value == "":
+            raise ValueError("names no file; unset it to let everybody in")
+        return value
+
+    @field_validator("cors_origins", mode="before")
+    @classmethod
+    def _origins(cls, value: Any) -> Any:
+        origins = value.replace(" ", "").split(",") if isinstance(value, str) else list(value)
+        for origin in filter(None, origins):
+            if origin != "*" and not _ORIGIN.fullmatch(origin):
+                raise ValueError(f"{origin!r} is no origin such as https://example.org")
+        return tuple(filter(None, origins))
+
     @field_validator("scheduler")
     @classmethod
     def _encrypted(cls, value: str | None) -> str | None:
         # A scheduler runs whatever it is sent: without mutual TLS it is a remote shell.
         if value is not None and not value.startswith("tls://"):
             raise ValueError("the scheduler must be reached over tls://host:port")
+        return value
+
+    @field_validator("database_url")
+    @classmethod
+    def _database(cls, value: str | None) -> str | None:
+        if value is not None and not value.startswith(("postgresql://", "sqlite:///")):
+            raise ValueError("must be postgresql://user:password@host/name or sqlite:///path")
         return value
 
     @field_validator("spool_dir")
@@ -81,6 +149,28 @@ class Settings(BaseSettings):
         if self.scheduler is not None and missing:
             raise ValueError(f"a scheduler elsewhere needs {', '.join(missing)} as well")
         return self
+
+    @property
+    def jobs_folder(self) -> Path:
+        """Folder of jobs.
+
+        Services on one machine listen on different ports, so by default each has its own. One on
+        a free port cannot be found again after a restart, and neither need its jobs.
+        """
+        if self.jobs_dir is not None:
+            return self.jobs_dir
+        name = f"process-{os.getpid()}" if self.jobs_folder_is_private else str(self.port)
+        return self.spool_dir / f"pugeo-jobs-{name}"
+
+    @property
+    def jobs_folder_is_private(self) -> bool:
+        """Whether the folder of jobs ends with this process."""
+        return self.jobs_dir is None and self.port == 0
+
+    @property
+    def jobs_database(self) -> str:
+        """URL of the database of jobs."""
+        return self.database_url or f"sqlite:///{self.jobs_folder.absolute()}/jobs.sqlite3"
 
     @property
     def worker_count(self) -> int:

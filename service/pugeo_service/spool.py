@@ -2,6 +2,7 @@
 """Bytes on their way in or out: small ones in memory, large ones in an unnamed file."""
 
 import asyncio
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -11,20 +12,19 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spool"]
+__all__ = ["Sink", "Spool"]
 
 _IN_MEMORY = 1 << 20
 
 
-class Spool:
-    """A write-once, read-many buffer that keeps at most 1 MiB in memory.
+class Sink(ABC):
+    """Takes bytes as they come and hands them on a MiB at a time, in a thread.
 
-    The file has no name, so it vanishes with the process whatever happens. Once the bytes are
-    on disk, every access runs in a thread: a slow disk must not stop the event loop.
+    Attributes:
+        size: bytes taken.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+    def __init__(self) -> None:
         self._pending = bytearray()
         self.size = 0
 
@@ -47,6 +47,31 @@ class Spool:
         if len(self._pending) >= _IN_MEMORY:
             await self._flush()
 
+    def close(self) -> None:
+        """Give back what is held; twice is once."""
+        self._pending = bytearray()
+
+    async def _flush(self) -> None:
+        if self._pending:
+            data, self._pending = self._pending, bytearray()
+            await asyncio.to_thread(self._store, data)
+
+    @abstractmethod
+    def _store(self, data: bytearray) -> None:
+        """Put bytes where they belong; runs in a thread."""
+
+
+class Spool(Sink):
+    """A write-once, read-many buffer that keeps at most 1 MiB in memory.
+
+    The file has no name, so it vanishes with the process whatever happens. Once the bytes are
+    on disk, every access runs in a thread: a slow disk must not stop the event loop.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+
     async def read(self) -> NDArray[np.uint8]:
         """Return all bytes, uint8 ``(size,)``, as one buffer in memory."""
         await self._flush()
@@ -61,13 +86,11 @@ class Spool:
 
     def close(self) -> None:
         """Give the memory and the disk back."""
-        self._pending = bytearray()
+        super().close()
         self._file.close()
 
-    async def _flush(self) -> None:
-        if self._pending:
-            data, self._pending = self._pending, bytearray()
-            await asyncio.to_thread(self._file.write, data)
+    def _store(self, data: bytearray) -> None:
+        self._file.write(data)
 
     def _read_all(self) -> NDArray[np.uint8]:
         self._file.seek(0)

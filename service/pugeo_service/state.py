@@ -8,6 +8,8 @@ from fastapi import Depends, Request
 
 from pugeo_service.admission import Admission
 from pugeo_service.engine import Engine
+from pugeo_service.jobs import Jobs
+from pugeo_service.keys import Keys
 from pugeo_service.settings import Settings
 from pugeo_service.telemetry import Telemetry
 
@@ -22,6 +24,8 @@ class Service:
         settings: as started.
         engine: runs orders.
         admission: the queue.
+        jobs: requests that outlive their connection.
+        keys: who may come in.
         telemetry: metrics.
         card: the model's card.
     """
@@ -29,8 +33,15 @@ class Service:
     settings: Settings
     engine: Engine
     admission: Admission
+    jobs: Jobs
+    keys: Keys
     telemetry: Telemetry
     card: dict[str, Any]
+
+    def drain(self) -> None:
+        """Let nothing more in: what waits for an answer is finished, jobs are put back."""
+        self.admission.draining = True
+        self.jobs.drain()
 
     @property
     def not_ready_because(self) -> Literal["draining", "no_worker", "queue_full"] | None:

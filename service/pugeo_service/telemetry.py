@@ -33,6 +33,10 @@ class Readings:
         workers_warm: workers that could run a task.
         workers_missing: workers that should be there and are not.
         workers_lost: workers that ended without being told to, since the start.
+        patches_retried: patches begun once more because a worker was lost, since the start.
+        jobs_queued: jobs that wait.
+        jobs_running: jobs that run.
+        jobs_bytes: bytes of their inputs, and of results that are kept.
     """
 
     queue_patches: int
@@ -41,6 +45,10 @@ class Readings:
     workers_warm: int
     workers_missing: int
     workers_lost: int
+    patches_retried: int = 0
+    jobs_queued: int = 0
+    jobs_running: int = 0
+    jobs_bytes: int = 0
 
 
 class Telemetry:
@@ -104,6 +112,9 @@ class Telemetry:
         self.cancelled = Counter(
             "pugeo_cancelled", "Requests ended before their end.", ("reason",), registry=registry
         )
+        self.jobs = Counter(
+            "pugeo_jobs", "Jobs that came into a state.", ("state",), registry=registry
+        )
         build = Gauge("pugeo_build_info", "The service.", ("version",), registry=registry)
         build.labels(version=version).set(1)
         info = Gauge(
@@ -130,6 +141,11 @@ class _Read(Collector):
             "pugeo_queue_capacity_patches", "Bound on those.", value=now.queue_capacity
         )
         yield GaugeMetricFamily("pugeo_queue_bytes", "Bytes held.", value=now.queue_bytes)
+        jobs = GaugeMetricFamily("pugeo_jobs_active", "Jobs not finished.", labels=["state"])
+        jobs.add_metric(["queued"], now.jobs_queued)
+        jobs.add_metric(["running"], now.jobs_running)
+        yield jobs
+        yield GaugeMetricFamily("pugeo_jobs_bytes", "Bytes of jobs' files.", value=now.jobs_bytes)
         workers = GaugeMetricFamily("pugeo_workers", "Worker processes.", labels=["state"])
         workers.add_metric(["warm"], now.workers_warm)
         workers.add_metric(["missing"], now.workers_missing)
@@ -139,3 +155,8 @@ class _Read(Collector):
         )
         restarts.add_metric(["lost"], now.workers_lost)
         yield restarts
+        yield CounterMetricFamily(
+            "pugeo_patch_retries",
+            "Patches begun once more because a worker was lost.",
+            value=now.patches_retried,
+        )

@@ -56,6 +56,22 @@ def problem(
     return httpx2.Response(status, headers=headers, json={"code": "x", "detail": "why"} | fields)
 
 
+def test_the_service_learns_how_long_the_caller_waits(twin: Twin, ply_bytes: bytes) -> None:
+    """Each try says what is left of the call's time, and only where the service works for it."""
+    busy = problem(503, headers={"Retry-After": "1"}, retryable=True)
+    service = Played(busy, dense(ply_bytes))
+    twin(lambda client: client.upsample(b"ply", timeout=40.5), service)
+    waits = [int(request.headers["Prefer"].removeprefix("wait=")) for request in service.requests]
+    assert len(waits) == 2
+    assert all(35 <= wait <= 41 for wait in waits)
+    service = Played(dense(ply_bytes))
+    twin(lambda client: client.upsample(b"ply", timeout=0.9), service)
+    assert service.requests[0].headers["Prefer"] == "wait=1"
+    service = Played(httpx2.Response(200, json={"models": []}))
+    twin(lambda client: client.models(), service)
+    assert "Prefer" not in service.requests[0].headers
+
+
 def test_a_path_becomes_a_dense_cloud(twin: Twin, ply_bytes: bytes, tmp_path: Path) -> None:
     """The file goes out verbatim, with the key and the options, and the answer has its arrays."""
     source = tmp_path / "in.ply"

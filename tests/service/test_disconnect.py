@@ -80,3 +80,27 @@ def test_cancelling_from_outside() -> None:
 
     asyncio.run(scenario())
     assert work.cancelled
+
+
+def test_no_hope() -> None:
+    """Work that cannot end in time is cancelled as soon as that is known, with the reason."""
+    work = Work()
+
+    async def scenario() -> None:
+        hopeless = asyncio.get_running_loop().create_future()
+        asyncio.get_running_loop().call_later(0.01, hopeless.set_exception, KeyError("too late"))
+        await while_connected(make_request(9), work(9), 9, hopeless)
+
+    with pytest.raises(KeyError, match="too late"):
+        asyncio.run(scenario())
+    assert work.cancelled
+
+
+def test_hope_that_was_never_lost() -> None:
+    """A future that nothing comes of changes nothing."""
+
+    async def scenario() -> str:
+        hopeless = asyncio.get_running_loop().create_future()
+        return await while_connected(make_request(9), Work()(0.01), 9, hopeless)
+
+    assert asyncio.run(scenario()) == "done"

@@ -24,7 +24,7 @@ class Route:
 def make_telemetry() -> Telemetry:
     """Metrics of a service at rest."""
     model = {"name": "standard", "version": "1", "sha256": "ab"}
-    return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6), "0.1.0", model)
+    return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6, 7), "0.1.0", model)
 
 
 def exchange(app: Any, telemetry: Telemetry, request_id: str | None = None) -> list[Message]:
@@ -154,6 +154,7 @@ def test_names_of_the_contract() -> None:
         "pugeo_cancelled",
         "pugeo_workers",
         "pugeo_worker_restarts",
+        "pugeo_patch_retries",
         "pugeo_model_info",
         "pugeo_build_info",
     }
@@ -167,3 +168,4 @@ def test_readings_are_taken_when_asked_for() -> None:
     assert counted(telemetry, "pugeo_queue_bytes") == {(): 3.0}
     assert counted(telemetry, "pugeo_workers") == {("warm",): 4.0, ("missing",): 5.0}
     assert counted(telemetry, "pugeo_worker_restarts_total") == {("lost",): 6.0}
+    assert counted(telemetry, "pugeo_patch_retries_total") == {(): 7.0}

@@ -71,3 +71,10 @@ def test_no_boundary() -> None:
     """A type without a boundary cannot be read."""
     with pytest.raises(Problem, match="boundary"):
         extract(b"", 1, "multipart/form-data")
+
+
+def test_a_boundary_too_long() -> None:
+    """It is the client's mistake, and no error of the service."""
+    with pytest.raises(Problem, match="longer than the 256 bytes") as caught:
+        FilePart("multipart/form-data; boundary=" + "b" * 257)
+    assert (caught.value.status, caught.value.code) == (400, "malformed_multipart")

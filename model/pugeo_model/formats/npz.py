@@ -278,7 +278,7 @@ def _as_malformed(what: str) -> Iterator[None]:
         MemoryError,
         RuntimeError,
         SyntaxError,
-        UserWarning,
+        Warning,
         struct.error,
         tokenize.TokenError,
         zipfile.BadZipFile,

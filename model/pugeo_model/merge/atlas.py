@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
@@ -138,12 +139,13 @@ def parcels(
     home = np.searchsorted(ends, owner, side="right")
     order = np.argsort(home, kind="stable")
     found = []
+    place = np.full(len(points), -1, dtype=np.int32)
     for part in np.split(order, np.searchsorted(home[order], np.arange(1, len(ends) + 1))):
-        used, local = np.unique(near[part], return_inverse=True)
+        used, local = _renumber(near[part], place)
         found.append(
             Landing(
                 spots=spots[part],
-                charts=local.reshape(-1, BLENDED).astype(np.int32),
+                charts=local,
                 points=points[used],
                 axes=frames.axes[used],
                 spacing=frames.spacing[used],
@@ -156,3 +158,23 @@ def parcels(
             )
         )
     return found
+
+
+@njit(cache=True, nogil=True)
+def _renumber(rows, place):  # type: ignore[no-untyped-def]
+    """Rows in the order they first occur, and each row's number; ``place`` is -1 all over."""
+    used = np.empty(rows.size, dtype=np.int32)
+    local = np.empty_like(rows)
+    count = 0
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            row = rows[i, j]
+            if place[row] < 0:
+                place[row] = count
+                used[count] = row
+                count += 1
+            local[i, j] = place[row]
+    used = used[:count].copy()
+    for row in used:
+        place[row] = -1
+    return used, local

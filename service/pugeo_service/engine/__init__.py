@@ -3,6 +3,6 @@
 
 from pugeo_service.engine.engine import Engine
 from pugeo_service.engine.errors import EngineLost, WorkerLost
-from pugeo_service.engine.order import Order, Outcome
+from pugeo_service.engine.order import Order, Outcome, Readable
 
-__all__ = ["Engine", "EngineLost", "Order", "Outcome", "WorkerLost"]
+__all__ = ["Engine", "EngineLost", "Order", "Outcome", "Readable", "WorkerLost"]

@@ -15,6 +15,7 @@ from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.errors import EngineLost, WorkerLost
 from pugeo_service.engine.pool import Stage
+from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.task import run_stage
 from pugeo_service.settings import Settings
 
@@ -59,6 +60,9 @@ class DaskPool:
         self._poll: asyncio.Task[None] | None = None
         self._workers: frozenset[str] = frozenset()
         self.lost_workers = 0
+        self.retried_patches = 0
+        # Tells this pool's tasks from those of others at the same scheduler.
+        self._name = secrets.token_hex(6)
 
     @property
     def warm_workers(self) -> int:
@@ -107,11 +111,19 @@ class DaskPool:
         if self._cluster is not None:
             await self._cluster.close()
 
-    def submit(self, stage: Stage, *args: Any, priority: float, seconds: float, long: bool) -> Any:
+    def submit(
+        self,
+        stage: Stage,
+        *args: Any,
+        priority: float,
+        seconds: float,
+        long: bool,
+        patches: int = 0,
+    ) -> Any:
         """Queue ``stage(*args)``."""
         # Dask guesses how long a task takes from others whose key begins alike.
         prefix = f"{stage}_{'long' if long else 'short'}"
-        key = f"{prefix}-{secrets.token_hex(12)}"
+        key = f"{prefix}-{patches}-{self._name}-{secrets.token_hex(12)}"
         try:
             return self._connected.submit(
                 run_stage, stage, seconds, *args, key=key, pure=False, priority=priority
@@ -160,6 +172,13 @@ class DaskPool:
         self._client = await _dask.Client(
             address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
         )
+        await self._client.register_plugin(ReportRetries())
+        self._client.subscribe_topic(TOPIC, self._count_retry)
+
+    def _count_retry(self, event: tuple[float, str]) -> None:
+        _, patches, pool, _ = event[1].split("-")
+        if pool == self._name:
+            self.retried_patches += int(patches)
 
     @property
     def _connected(self) -> Any:

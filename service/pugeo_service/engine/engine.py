@@ -8,17 +8,16 @@ is, the loop that answers requests and probes is not.
 import asyncio
 import threading
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from pugeo_service.engine.dask_pool import DaskPool
 from pugeo_service.engine.errors import EngineLost, WorkerLost
 from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.order import Order, Outcome, Watcher
+from pugeo_service.engine.order import Order, Outcome, Readable, Watcher
 from pugeo_service.engine.pool import Pool
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
-from pugeo_service.spool import Spool
 
 __all__ = ["Engine", "Status"]
 
@@ -34,11 +33,13 @@ class Status:
         expected: workers that there should be, or ``None`` where they run elsewhere.
         lost: workers seen to end without being told to; one that comes and goes between two looks
             is not seen.
+        retried: patches begun once more because a worker was lost.
     """
 
     workers: int
     expected: int | None
     lost: int
+    retried: int
 
 
 class Engine:
@@ -57,6 +58,7 @@ class Engine:
         self._quarantine = asyncio.Lock()
         self._long = asyncio.Semaphore(max(1, settings.worker_count - 1))
         self._proven = False
+        self._retried = 0
 
     async def start(self) -> None:
         """Start the workers; returns once a small request of our own went all the way."""
@@ -82,23 +84,26 @@ class Engine:
         """The state of the workers, at most half a second old."""
         expected = self._settings.worker_count if self._settings.scheduler is None else None
         warm = self._pool.warm_workers if self._proven else 0
-        return Status(warm, expected, self._pool.lost_workers)
+        retried = self._pool.retried_patches + self._retried
+        return Status(warm, expected, self._pool.lost_workers, retried)
 
     async def run(
         self,
-        body: Spool,
+        body: Readable,
         order: Order,
         *,
         on_patches: Callable[[int], object],
         on_done: Callable[[int], object],
+        on_stage: Callable[[str], object] = lambda _: None,
     ) -> Outcome:
         """Run an order to its end; cancelling this cancels its tasks.
 
         Args:
-            body: the request's bytes; they are read here and stay the caller's.
+            body: the request's bytes; they are read when the engine begins.
             order: what to do.
             on_patches: is told the number of patches, in the caller's event loop.
             on_done: is told how many patches more are done, in the caller's event loop.
+            on_stage: is told which stage begins, in the caller's event loop.
 
         Raises:
             CloudError: the input cannot be used.
@@ -109,6 +114,7 @@ class Engine:
         watcher = Watcher(
             lambda count: here.call_soon_threadsafe(on_patches, count),
             lambda count: here.call_soon_threadsafe(on_done, count),
+            lambda stage: here.call_soon_threadsafe(on_stage, stage),
         )
         return await self._call(self._run(body, order, watcher))
 
@@ -117,15 +123,25 @@ class Engine:
         flow = Flow(self._pool, order, self._long, Watcher(), self._settings.spool_dir)
         (await flow.run(sample_body())).spool.close()
 
-    async def _run(self, body: Spool, order: Order, watcher: Watcher) -> Outcome:
+    async def _run(self, body: Readable, order: Order, watcher: Watcher) -> Outcome:
+        done = 0
+
+        def on_done(count: int) -> None:
+            nonlocal done
+            done += count
+            watcher.on_done(count)
+
+        counting = replace(watcher, on_done=on_done)
+
         async def attempt() -> Outcome:
-            flow = Flow(self._pool, order, self._long, watcher, self._settings.spool_dir)
+            flow = Flow(self._pool, order, self._long, counting, self._settings.spool_dir)
             return await flow.run(await body.read())
 
         try:
             return await attempt()
         except (WorkerLost, EngineLost):
             # Perhaps a bystander: Dask suspects every task that was queued on a dead worker.
+            self._retried += done
             async with self._quarantine:
                 return await attempt()
 

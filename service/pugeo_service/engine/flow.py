@@ -21,6 +21,9 @@ LONG_PATCHES = 8
 # A large request that got nothing done for so long has its next batch run first.
 _PATIENCE_S = 5.0
 _FIRST = 1e9
+# Whatever somebody waits for comes before whatever nobody waits for: no cloud has so many patches.
+_BEHIND = -1e8
+_BEHIND_FIRST = -1e7
 
 
 class Flow:
@@ -49,6 +52,9 @@ class Flow:
         self._watcher = watcher
         self._spool_dir = spool_dir
         self._ends = time.monotonic() + order.deadline_s
+        # What a task ranks by comes on top of this; within a background order small is first too.
+        self._base = _BEHIND if order.background else 0.0
+        self._soon = _BEHIND_FIRST if order.background else _FIRST
         self._handles: set[Any] = set()
 
     async def run(self, body: NDArray[np.uint8]) -> Outcome:
@@ -71,12 +77,14 @@ class Flow:
 
         size = order.estimate(len(body))
         head: Head
+        self._watcher.on_stage("prepare")
         prepared, head = await self._step(size, "prepare", "describe_prepared", body, order)
         seconds["queue"] = time.perf_counter() - began - sum(head.seconds.values())
         seconds.update(head.seconds)
         size = head.patches
         self._watcher.on_patches(size)
 
+        self._watcher.on_stage("predict")
         began = time.perf_counter()
         charted = await self._spread(
             size,
@@ -88,6 +96,7 @@ class Flow:
         )
         seconds["predict"] = time.perf_counter() - began
 
+        self._watcher.on_stage("land")
         proposed, (landings, proposing, batches) = await self._step(
             size, "propose", "describe_merged", prepared, charted
         )
@@ -97,23 +106,27 @@ class Flow:
         )
         seconds["land"] = time.perf_counter() - began
 
+        self._watcher.on_stage("merge")
         merged, (landings, merging, _) = await self._step(
             size, "merge", "describe_merged", prepared, charted, candidates
         )
         seconds["merge"] = proposing + merging
         self._drop([proposed, *charted, *candidates])
 
+        self._watcher.on_stage("land")
         began = time.perf_counter()
         landed = await self._spread(landings, order.batch_patches, "cut_landings", "land", merged)
         seconds["land"] += time.perf_counter() - began
 
         sheet: Sheet
+        self._watcher.on_stage("finish")
         written, sheet = await self._step(
             size, "finish", "describe_written", prepared, landed, order.answer
         )
         seconds.update(sheet.seconds)
         self._drop([prepared, merged, *landed])
 
+        self._watcher.on_stage("collect")
         began = time.perf_counter()
         spool = await self._collect(written, sheet)
         seconds["collect"] = time.perf_counter() - began
@@ -123,9 +136,9 @@ class Flow:
         """Run a stage of the whole cloud; return the handle of its result and a description."""
         long = size >= LONG_PATCHES
         async with self._long if long else _free:
-            handle = self._submit(stage, *args, priority=-size, long=long)
+            handle = self._submit(stage, *args, priority=self._base - size, long=long)
             # Queued right away: a question asked later would cost another round trip.
-            described = self._submit(describe, handle, priority=_FIRST)
+            described = self._submit(describe, handle, priority=self._soon)
             value = await self._pool.fetch(described)
         self._drop([described])
         return handle, value
@@ -156,7 +169,11 @@ class Flow:
         def launch(start: int, priority: float) -> None:
             stop = min(start + size, total)
             part = self._submit(cut, source, start, stop, priority=priority)
-            result = self._submit(stage, part, self._order.model, priority=priority)
+            # Only the first pass counts as a patch; landing works on the points that it placed.
+            patches = stop - start if stage == "predict" else 0
+            result = self._submit(
+                stage, part, self._order.model, priority=priority, patches=patches
+            )
             self._drop([part])
             results[start] = result
             waiting[asyncio.create_task(self._pool.wait(result))] = stop - start
@@ -164,7 +181,7 @@ class Flow:
         try:
             while True:
                 while len(waiting) < window and (start := next(starts, None)) is not None:
-                    launch(start, -remaining)
+                    launch(start, self._base - remaining)
                 if not waiting:
                     return [results[start] for start in sorted(results)]
                 done, _ = await asyncio.wait(
@@ -191,7 +208,7 @@ class Flow:
         try:
             await spool.write(sheet.first)
             for index in range(1, sheet.chunks):
-                handle = self._submit("chunk", written, index, priority=_FIRST)
+                handle = self._submit("chunk", written, index, priority=self._soon)
                 await spool.write(await self._pool.fetch(handle))
                 self._drop([handle])
         except BaseException:
@@ -199,9 +216,18 @@ class Flow:
             raise
         return spool
 
-    def _submit(self, stage: Stage, *args: Any, priority: float, long: bool = False) -> Any:
+    def _submit(
+        self,
+        stage: Stage,
+        *args: Any,
+        priority: float,
+        long: bool = False,
+        patches: int = 0,
+    ) -> Any:
         left = self._ends - time.monotonic()
-        handle = self._pool.submit(stage, *args, priority=priority, seconds=left, long=long)
+        handle = self._pool.submit(
+            stage, *args, priority=priority, seconds=left, long=long, patches=patches
+        )
         self._handles.add(handle)
         return handle
 

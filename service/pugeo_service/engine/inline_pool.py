@@ -23,6 +23,7 @@ class InlinePool:
     """
 
     lost_workers = 0
+    retried_patches = 0
 
     def __init__(self, settings: Settings) -> None:
         self._model = settings.model
@@ -45,10 +46,16 @@ class InlinePool:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def submit(
-        self, stage: Stage, *args: Any, priority: float, seconds: float, long: bool
+        self,
+        stage: Stage,
+        *args: Any,
+        priority: float,
+        seconds: float,
+        long: bool,
+        patches: int = 0,
     ) -> "Future[Any]":
         """Queue ``stage(*args)``, first come first served."""
-        del priority, seconds, long  # threads can be neither ranked nor ended
+        del priority, seconds, long, patches  # threads can be neither ranked nor ended nor lost
         run = getattr(stages, stage)
         return self._executor.submit(lambda: run(*(_resolved(arg) for arg in args)))
 

@@ -3,11 +3,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pugeo_service.spool import Spool
 
-__all__ = ["Head", "Order", "Outcome", "Sheet", "Watcher"]
+__all__ = ["Head", "Order", "Outcome", "Readable", "Sheet", "Watcher"]
 
 # A patch has 2048 points of its own and a point takes 12 bytes at least: what a body of unknown
 # content may hold, before anybody read it.
@@ -27,6 +30,7 @@ class Order:
         max_output_points: bound on the points of the answer.
         batch_patches: bound on the patches of one task.
         deadline_s: seconds the whole may take.
+        background: whoever waits for an answer goes first.
     """
 
     model: str
@@ -37,6 +41,7 @@ class Order:
     max_output_points: int
     batch_patches: int
     deadline_s: float
+    background: bool = False
 
     @staticmethod
     def estimate(size: int) -> int:
@@ -91,7 +96,14 @@ class Outcome:
     batches: list[tuple[float, int]]
 
 
-def _ignore(*_: int) -> None:
+class Readable(Protocol):
+    """Bytes that the engine asks for when it begins, and again where it begins anew."""
+
+    async def read(self) -> NDArray[np.uint8]:
+        """Return all bytes, uint8 ``(size,)``."""
+
+
+def _ignore(*_: object) -> None:
     return None
 
 
@@ -102,7 +114,9 @@ class Watcher:
     Attributes:
         on_patches: the number of patches became known.
         on_done: that many patches more went through the network.
+        on_stage: the next stage begins.
     """
 
     on_patches: Callable[[int], object] = field(default=_ignore)
     on_done: Callable[[int], object] = field(default=_ignore)
+    on_stage: Callable[[str], object] = field(default=_ignore)

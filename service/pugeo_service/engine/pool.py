@@ -40,7 +40,19 @@ class Pool(Protocol):
     def lost_workers(self) -> int:
         """Workers that ended without being told to, since the start."""
 
-    def submit(self, stage: Stage, *args: Any, priority: float, seconds: float, long: bool) -> Any:
+    @property
+    def retried_patches(self) -> int:
+        """Patches whose task began once more because a worker was lost, since the start."""
+
+    def submit(
+        self,
+        stage: Stage,
+        *args: Any,
+        priority: float,
+        seconds: float,
+        long: bool,
+        patches: int = 0,
+    ) -> Any:
         """Queue ``stage(*args)`` and return a handle of its result, which stays on a worker.
 
         Args:
@@ -49,6 +61,7 @@ class Pool(Protocol):
             priority: larger runs earlier.
             seconds: a worker that takes longer is ended.
             long: the stage takes seconds and not milliseconds, as the pool could not know.
+            patches: how many patches the task runs through the network.
         """
 
     async def wait(self, handle: Any) -> None:

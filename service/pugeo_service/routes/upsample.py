@@ -1,85 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """``POST /upsample``: a cloud in, a denser one out."""
 
+import asyncio
 from typing import Annotated, Any
 
-import structlog
 from fastapi import APIRouter, Query, Request, Response
 
 from pugeo_model.errors import CloudError
 from pugeo_service.admission import Hold
 from pugeo_service.answer import DenseAnswer, answer_headers
 from pugeo_service.body import Body, ClientGone, receive_body
+from pugeo_service.deadline import Deadline
 from pugeo_service.disconnect import DeadlinePassed, while_connected
-from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
-from pugeo_service.negotiation import DEFAULT, OFFERS, Offer, choose
+from pugeo_service.engine import Order, Outcome
+from pugeo_service.keys import owner_of
+from pugeo_service.negotiation import OFFERS, Offer
 from pugeo_service.options import UpsampleQuery
+from pugeo_service.prefer import preferences
 from pugeo_service.problems import Problem, problem_responses
+from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
+from pugeo_service.spool import Spool
 from pugeo_service.state import Service, ServiceDep
+from pugeo_service.tracing import StageSpans
+from pugeo_service.work import count_run, engine_problems, make_order, offer_of
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["upsample"])
-_log = structlog.stdlib.get_logger("pugeo.upsample")
 
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_POINTS = {
-    "type": "object",
-    "required": ["points"],
-    "properties": {
-        "points": {
-            "type": "array",
-            "items": {
-                "type": "array",
-                "items": {"type": "number"},
-                "minItems": 3,
-                "maxItems": 3,
-            },
-        }
-    },
-}
-_BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "description": "A point cloud; where the type is unspecific, the content decides.",
-        "content": {
-            "multipart/form-data": {
-                "schema": {
-                    "type": "object",
-                    "required": ["file"],
-                    "properties": {"file": {"type": "string", "format": "binary"}},
-                }
-            },
-            "application/json": {"schema": _POINTS},
-            "application/x-ply": _BINARY,
-            "application/x-npz": _BINARY,
-            "application/x-npy": _BINARY,
-            "application/octet-stream": _BINARY,
-            "text/plain": {"schema": {"type": "string"}},
-        },
-    }
-}
-_HEADERS = {
-    name: {"description": text, "schema": {"type": kind}}
-    for name, kind, text in (
-        ("X-Request-ID", "string", "the request's own id, or a new one"),
-        ("Pugeo-Model-Version", "string", "version of the model"),
-        ("Pugeo-Model-Sha256", "string", "sha256 of its weights"),
-        ("Pugeo-Points-In", "integer", "points read"),
-        ("Pugeo-Points-Out", "integer", "points returned"),
-        ("Pugeo-Dropped-Non-Finite", "integer", "points dropped for NaN or infinity"),
-        ("Pugeo-Dropped-Duplicate", "integer", "points dropped for being there twice"),
-        ("Pugeo-Notes", "string", "JSON array of sentences about guesses that were made"),
-        ("Server-Timing", "string", "milliseconds by stage"),
-    )
+_PREFER = {
+    "name": "Prefer",
+    "in": "header",
+    "required": False,
+    "description": "wait=N: give up, with 503 or 504, what would take longer than N seconds.",
+    "schema": {"type": "string", "examples": ["wait=30"]},
 }
 _RESPONSES: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "The dense cloud, in the format asked for.",
-        "headers": _HEADERS,
-        "content": {offer.media_type: _BINARY for offer in OFFERS.values()},
+        "headers": HEADERS,
+        "content": {offer.media_type: BINARY for offer in OFFERS.values()},
     },
-    **problem_responses(400, 406, 408, 413, 415, 422, 500, 503, 504),
+    **problem_responses(400, 401, 406, 408, 413, 415, 422, 429, 500, 503, 504),
 }
 
 
@@ -88,93 +50,93 @@ _RESPONSES: dict[int | str, dict[str, Any]] = {
     operation_id="upsample",
     response_class=Response,
     responses=_RESPONSES,
-    openapi_extra=_BODY,
+    openapi_extra={**BODY, "parameters": [_PREFER]},
 )
 async def upsample(
     request: Request, query: Annotated[UpsampleQuery, Query()], service: ServiceDep
 ) -> Response:
     """Upsample the point cloud in the body: R times as many points, each with a normal."""
+    deadline = Deadline(preferences(request.headers), service.settings.deadline_s)
     try:
-        offer = _offer(request, query)
-        outcome = await _serve(request, service, offer, query)
+        offer = offer_of(request.headers, query.format)
+        outcome = await _serve(request, service, offer, query, deadline)
     except (Problem, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
-    _count(service, outcome)
-    return DenseAnswer(outcome, answer_headers(outcome, offer, service.card))
+    count_run(service.telemetry, outcome)
+    for seconds, patches in outcome.batches:
+        service.admission.pace.add(seconds, patches)
+    headers = answer_headers(outcome, offer, service.card)
+    if deadline.wait is not None:
+        headers["Preference-Applied"] = f"wait={deadline.wait}"
+    return DenseAnswer(outcome, headers)
 
 
-def _offer(request: Request, query: UpsampleQuery) -> Offer:
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    default = OFFERS["json"] if kind == "application/json" else DEFAULT
-    return choose(request.headers.get("accept"), query.format, default)
-
-
-async def _serve(request: Request, service: Service, offer: Offer, query: UpsampleQuery) -> Outcome:
+async def _serve(
+    request: Request, service: Service, offer: Offer, query: UpsampleQuery, deadline: Deadline
+) -> Outcome:
     if service.not_ready_because == "no_worker":
         raise Problem(503, "no_worker", "No worker is warm yet; try again.", retry_after=2)
-    with service.admission.hold() as hold:
-        body = await receive_body(request, service.settings, hold)
-        with body.spool:
-            hold.enter(Order.estimate(body.spool.size))
-            return await _run(request, service, body, offer, query, hold)
+    with service.admission.hold(owner_of(request)) as hold:
+        try:
+            async with deadline.arriving():
+                body = await receive_body(request, service.settings, hold)
+            with body.spool:
+                hold.enter(Order.estimate(body.spool.size))
+                hold.check_deadline(deadline.left, service.engine.status.workers, sized=False)
+                return await _run(request, service, body, offer, query, hold, deadline)
+        except DeadlinePassed as error:
+            service.telemetry.cancelled.labels("deadline").inc()
+            detail = f"The request took longer than {deadline.shown}."
+            fields = {"limit": deadline.seconds}
+            raise Problem(504, "deadline_exceeded", detail, fields=fields) from error
 
 
 async def _run(
     request: Request,
     service: Service,
-    body: Body,
+    body: Body[Spool],
     offer: Offer,
     query: UpsampleQuery,
     hold: Hold,
+    deadline: Deadline,
 ) -> Outcome:
     settings = service.settings
-    order = Order(
-        model=settings.model,
+    # The deadline is the service's own and never the client's: a worker that overruns it is ended.
+    order = make_order(
+        settings,
+        query.for_model(),
         format=body.format,
         answer=offer.name,
-        options=query.for_model(),
-        max_points=settings.max_points,
-        max_output_points=settings.max_output_points,
-        batch_patches=settings.batch_patches,
         deadline_s=settings.deadline_s,
     )
-    work = service.engine.run(body.spool, order, on_patches=hold.resize, on_done=hold.finish)
+    hopeless = asyncio.get_running_loop().create_future()
+
+    def on_patches(count: int) -> None:
+        hold.resize(count)
+        try:
+            hold.check_deadline(deadline.left, service.engine.status.workers, sized=True)
+        except Problem as problem:
+            if not hopeless.done():
+                hopeless.set_exception(problem)
+
+    spans = StageSpans()
+    work = service.engine.run(
+        body.spool,
+        order,
+        on_patches=on_patches,
+        on_done=hold.finish,
+        on_stage=spans.on_stage,
+    )
+    seconds = None
     try:
-        return await while_connected(request, work, settings.deadline_s)
+        with engine_problems():
+            outcome = await while_connected(request, work, deadline.left, hopeless)
     except ClientGone:
         service.telemetry.cancelled.labels("disconnect").inc()
         raise
-    except DeadlinePassed as error:
-        service.telemetry.cancelled.labels("deadline").inc()
-        detail = f"The request took longer than {settings.deadline_s:g} s, its limit."
-        fields = {"limit": settings.deadline_s}
-        raise Problem(504, "deadline_exceeded", detail, fields=fields) from error
-    except WorkerLost as error:
-        _log.error("a request ended its workers", reason=str(error))
-        detail = (
-            "Working on this cloud ended the worker process every time, most likely because it "
-            "ran out of memory. A smaller cloud or a lower R may work; the same will not."
-        )
-        raise Problem(422, "worker_lost", detail, retryable=False) from error
-    except EngineLost as error:
-        _log.error("the engine is gone", reason=str(error))
-        detail = "The workers cannot be reached at the moment."
-        raise Problem(503, "engine_lost", detail, retry_after=5) from error
-    except MemoryError as error:
-        detail = "This cloud needs more memory than a worker has; send a smaller one or lower R."
-        raise Problem(422, "out_of_memory", detail, retryable=False) from error
-
-
-def _count(service: Service, outcome: Outcome) -> None:
-    telemetry = service.telemetry
-    for stage, seconds in outcome.seconds.items():
-        if stage == "queue":
-            telemetry.queue_wait.observe(seconds)
-        else:
-            telemetry.stage_seconds.labels(stage).observe(seconds)
-    for seconds, patches in outcome.batches:
-        telemetry.batch_seconds.observe(seconds)
-        telemetry.batch_patches.observe(patches)
-    telemetry.points.labels("in").inc(outcome.report["points_in"])
-    telemetry.points.labels("out").inc(outcome.report["points_out"])
+    else:
+        seconds = outcome.seconds
+        return outcome
+    finally:
+        spans.finish(seconds)

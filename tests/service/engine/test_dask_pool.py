@@ -47,9 +47,18 @@ def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
     return lambda scenario, workers=2: asyncio.run(run(scenario, workers))
 
 
-def submit(pool: DaskPool, stage: Any, *args: Any, priority: float = 0, seconds: float = 60) -> Any:
+def submit(
+    pool: DaskPool,
+    stage: Any,
+    *args: Any,
+    priority: float = 0,
+    seconds: float = 60,
+    patches: int = 0,
+) -> Any:
     """Submit with defaults."""
-    return pool.submit(stage, *args, priority=priority, seconds=seconds, long=False)
+    return pool.submit(
+        stage, *args, priority=priority, seconds=seconds, long=False, patches=patches
+    )
 
 
 async def warm(pool: DaskPool, count: int) -> None:
@@ -108,6 +117,22 @@ def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
         assert pool.lost_workers == 2
 
     play(scenario)
+
+
+def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
+    """A task that a dead worker had begun counts with its patches; one that ran once does not."""
+
+    async def scenario(pool: DaskPool) -> None:
+        napping = submit(pool, "nap", 3, str(tmp_path / "log"), "slept", patches=5)
+        await asyncio.sleep(1)
+        assert pool.retried_patches == 0
+        worker = next(iter(pool._cluster.workers.values()))
+        await worker.kill()
+        assert await pool.fetch(napping) == "slept"
+        assert await pool.fetch(submit(pool, "add", 1, 1, patches=7)) == 2
+        await until(lambda: pool.retried_patches == 5, seconds=5)
+
+    play(scenario, workers=1)
 
 
 def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ class Recorder:
     most_running: int = 0
     warm_workers = 2
     lost_workers = 0
+    retried_patches = 0
 
     async def start(self) -> None:
         """There is nothing to start."""
@@ -48,8 +49,17 @@ class Recorder:
     async def stop(self) -> None:
         """There is nothing to stop."""
 
-    def submit(self, stage: str, *args: Any, priority: float, seconds: float, long: bool) -> Handle:
+    def submit(
+        self,
+        stage: str,
+        *args: Any,
+        priority: float,
+        seconds: float,
+        long: bool,
+        patches: int = 0,
+    ) -> Handle:
         assert 0 < seconds <= ORDER.deadline_s
+        assert patches == (args[0].args[2] - args[0].args[1] if stage == "predict" else 0)
         self.handles.append(Handle(stage, args, priority, long))
         return self.handles[-1]
 
