@@ -27,6 +27,7 @@ def configure(log_format: str, level: str) -> None:
         structlog.stdlib.add_logger_name,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
         structlog.stdlib.ExtraAdder(),
+        _without_colors,
         add_trace,
     ]
     last: list[Any]
@@ -59,3 +60,9 @@ def configure(log_format: str, level: str) -> None:
         logger = logging.getLogger(name)
         logger.handlers = []
         logger.propagate = True
+
+
+def _without_colors(_logger: Any, _method: str, event: dict[str, Any]) -> dict[str, Any]:
+    """Drop uvicorn's second copy of its messages, painted for a terminal."""
+    event.pop("color_message", None)
+    return event

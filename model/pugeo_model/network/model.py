@@ -11,7 +11,7 @@ from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
 from pugeo_model.network.landing import Lander
 from pugeo_model.network.memory import keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
-from pugeo_model.network.pugeo import PUGeoNet, evaluate
+from pugeo_model.network.pugeo import PUGeoNet
 
 __all__ = ["Model"]
 
@@ -42,17 +42,33 @@ class Model:
         """Charts of the core points and ``count`` candidates from each."""
         core = patch.core
         frames = patch.frames
-        axes = torch.from_numpy(frames.axes[:core])
-        spacing = torch.from_numpy(frames.spacing[:core])
-        quadric = torch.from_numpy(frames.quadric[:core])
-        charts, uv = self.net(gather([patch]), quadric, count)
-        local, _, _ = evaluate(self.net.surface, charts, uv)
-        return PatchCharts(
-            rows=patch.rows[:core],
-            candidates=((local @ axes) * spacing[:, None, None]).numpy(),
+        quadric = frames.quadric[:core]
+        charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
+        # On their own charts alone; the pipeline lands them on the neighbours' as well.
+        flat = uv @ charts.T[..., :2].mT @ torch.from_numpy(frames.axes[:core])
+        points = patch.points[:core]
+        spread = flat.numpy() * frames.spacing[:core, None, None]
+        rows = np.repeat(np.arange(core, dtype=np.int32), count)
+        landing = Landing(
+            spots=(points[:, None] + spread).reshape(-1, 3),
+            charts=rows[:, None],
+            points=points,
+            axes=frames.axes[:core],
+            spacing=frames.spacing[:core],
+            quadric=quadric,
             T=charts.T.numpy(),
             code=charts.code.to(torch.float16).numpy(),
             lift=charts.lift.numpy(),
+            nearest=rows,
+            fixed=False,
+        )
+        step, _, _ = self._lander(landing)
+        return PatchCharts(
+            rows=patch.rows[:core],
+            candidates=(spread + step.reshape(spread.shape)).astype(np.float32),
+            T=landing.T,
+            code=landing.code,
+            lift=landing.lift,
         )
 
     def land(self, landing: Landing) -> Landed:
