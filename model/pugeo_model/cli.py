@@ -72,6 +72,9 @@ def upsample(
     ] = "auto",
     viewpoint: Annotated[str | None, typer.Option(help="Sensor position x,y,z.")] = None,
     seed: Annotated[int, typer.Option(help="Another seed, another sample.")] = 0,
+    keep_input: Annotated[
+        bool, typer.Option("--keep-input", help="Keep the input points, untouched, noise and all.")
+    ] = False,
     model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
         "standard"
     ),
@@ -85,7 +88,7 @@ def upsample(
 
     where = _numbers(viewpoint)
     # What can be refused at once is refused before the work, not after it.
-    Options(ratio, n_points, orient, where, seed)
+    Options(ratio, n_points, orient, where, seed, keep_input)
     kind = format or written_as(out)
     if kind not in FORMATS:
         raise typer.BadParameter(f"must be one of {', '.join(FORMATS)}", param_hint="--format")
@@ -100,6 +103,7 @@ def upsample(
             orient=orient,
             viewpoint=where,
             seed=seed,
+            keep_input=keep_input,
             progress=lambda stage, done, total: bar.update(
                 task, description=stage, completed=done, total=total
             ),

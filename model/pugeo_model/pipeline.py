@@ -73,6 +73,8 @@ class Options:
         orient: ``auto``, ``input``, ``viewpoint``, ``mst``, ``outward`` or ``none``.
         viewpoint: sensor position in the cloud's own frame and units.
         seed: 0..2^63-1; other seeds give other, equally even samples.
+        keep_input: the cleaned input points lead the answer, untouched and in their order, and
+            the rest is spread among them. Else every point is new, and noise is smoothed away.
 
     Raises:
         BadOption: a value out of range; its ``fields`` name it.
@@ -83,6 +85,7 @@ class Options:
     orient: str = "auto"
     viewpoint: tuple[float, float, float] | None = None
     seed: int = 0
+    keep_input: bool = False
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.ratio <= MOST:
@@ -138,6 +141,11 @@ class Job:
     n_out: int
     options: Options
     report: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def keeps_input(self) -> bool:
+        """Whether the answer begins with the input points: asked for, or no point is new."""
+        return self.options.keep_input or self.n_out == len(self.points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,9 +234,10 @@ def land(model: "Model", landing: Landing) -> Landed:
 def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]) -> list[Landing]:
     """Decide where the output points go; parcels of them, with the charts they land on."""
     atlas = bind(charts)
+    rows = np.arange(len(job.points), dtype=np.int32)
+    own = _parcels(job, atlas, job.points, rows, fixed=True) if job.keeps_input else []
     if job.n_out == len(job.points):
-        rows = np.arange(len(job.points), dtype=np.int32)
-        return _parcels(job, atlas, job.points, rows, fixed=True)
+        return own
     landed = Landed.join(candidates)
     spots, owner = place(
         landed.points,
@@ -239,8 +248,9 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
         shares(job.frames.spacing, job.neighbours),
         job.neighbours,
         job.options.seed,
+        (job.points, job.frames.axes[:, 2]) if own else None,
     )
-    return _parcels(job, atlas, spots, owner)
+    return own + _parcels(job, atlas, spots, owner)
 
 
 def _parcels(
@@ -285,9 +295,10 @@ def finish(job: Job, points: Sequence[Landed]) -> Result:
         scalars=scalars,
         notes=cloud.notes,
     )
-    if job.n_out == len(job.points):
-        # No point is new: each returns to its own row.
-        dense = dense.take(np.argsort(job.order))
+    if job.keeps_input:
+        count = len(job.points)
+        dense.points[:count] = cloud.points
+        dense = dense.take(np.append(np.argsort(job.order), np.arange(count, job.n_out)))
     return Result(dense, {**job.report, "orient": method})
 
 
@@ -312,6 +323,7 @@ class Upsampler:
         orient: str = "auto",
         viewpoint: tuple[float, float, float] | None = None,
         seed: int = 0,
+        keep_input: bool = False,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Result:
         """Upsample a cloud; arguments as in :class:`Options`.
@@ -325,7 +337,7 @@ class Upsampler:
         """
         if not isinstance(cloud, Cloud):
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
-        options = Options(ratio, n_points, orient, viewpoint, seed)
+        options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
         tell = progress or (lambda _stage, _done, _total: None)
 
         def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:

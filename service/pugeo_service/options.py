@@ -47,6 +47,13 @@ class UpsampleQuery(BaseModel):
         ),
     ] = None
     seed: Annotated[int, Field(ge=0, lt=2**63, description="Same seed, same points.")] = 0
+    keep_input: Annotated[
+        bool,
+        Field(
+            description="Begin with the cleaned input points, untouched and in their order; "
+            "else every point is new, and noise is smoothed away."
+        ),
+    ] = False
     format: Annotated[
         str | None,
         Field(description="ply, ply-ascii, npz, json or xyz; wins over the Accept header."),
@@ -89,6 +96,7 @@ class UpsampleQuery(BaseModel):
             "orient": self.orient,
             "viewpoint": None if self.viewpoint is None else _numbers(self.viewpoint),
             "seed": self.seed,
+            "keep_input": self.keep_input,
         }
 
 

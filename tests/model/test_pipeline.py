@@ -66,6 +66,21 @@ def test_ratio_one_returns_the_input_with_normals(upsampler, sphere):
     assert (dense.normals * dense.points).sum(axis=1).mean() > 0.99
 
 
+def test_the_input_can_be_kept(upsampler, sphere):
+    """Kept input leads the answer bit for bit, noise and all; new points spread evenly around."""
+    noisy = (sphere + np.random.default_rng(0).normal(0, 0.01, sphere.shape)).astype(np.float32)
+    cloud = Cloud(noisy, scalars={"row": np.arange(len(noisy), dtype=np.int32)})
+    dense = upsampler(cloud, 3, keep_input=True).cloud
+    count = len(noisy)
+    assert len(dense) == 3 * count
+    np.testing.assert_array_equal(dense.points[:count], noisy)
+    np.testing.assert_array_equal(dense.scalars["row"][:count], np.arange(count))
+    off = np.abs(np.linalg.norm(dense.points, axis=1) - 1)
+    assert off[count:].mean() < 0.8 * off[:count].mean()
+    assert evenness(dense.points) < 0.25
+    assert (dense.normals * dense.points).sum(axis=1).mean() > 0.95
+
+
 def test_n_points_instead_of_ratio(upsampler, sphere):
     """A number of points is met exactly; outside 1 to 32 times the input it is refused."""
     assert len(upsampler(sphere, n_points=5001).cloud) == 5001

@@ -60,5 +60,5 @@ def test_an_unknown_option_is_answered_with_the_known_ones() -> None:
     error = caught.value.errors()[0]
     assert error["ctx"]["parameter"] == "ratio"
     assert error["ctx"]["allowed"] == [
-        "R", "n_points", "orient", "viewpoint", "seed", "format",
+        "R", "n_points", "orient", "viewpoint", "seed", "keep_input", "format",
     ]  # fmt: skip

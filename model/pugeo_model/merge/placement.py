@@ -18,6 +18,7 @@ _SETTLED = 14  # among survivors
 _CHANCE = 1e-3  # largest burden that the seed draws
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
 _USUAL = 2.0  # times the error usual around it that a candidate may be off without burden
+_PINNED = -1e9  # burden of points that must survive: no weight comes near it
 _ROUNDS = 2
 
 
@@ -42,6 +43,7 @@ def place(
     share: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     seed: int,
+    pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Where the output points go: eliminate, then let the survivors settle.
 
@@ -54,19 +56,30 @@ def place(
         share: ``(M,)`` area of each chart, see :func:`shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
+        pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these are
+            among the ``wanted`` and stay where they are.
 
     Returns:
-        Spots ``(wanted, 3)`` float64 and the owner ``(wanted,)`` int32 of each.
+        Spots float64 and the owner int32 of each, without those pinned.
     """
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
     reach = reach_of_share(share * (len(share) / wanted))
-    lists = crowd(candidates, owner, near, reach[owner], _CROWD)
     burden = _doubt(error.astype(np.float64), owner, near)
     burden += _CHANCE * np.random.default_rng(seed).random(len(candidates))
+    held = 0
+    if pinned is not None:
+        held = len(near)
+        candidates = np.concatenate([pinned[0], candidates])
+        normals = np.concatenate([pinned[1], normals])
+        owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
+        burden = np.concatenate([np.full(held, _PINNED), burden])
+    lists = crowd(candidates, owner, near, reach[owner], _CROWD)
     kept = eliminate(candidates, lists, reach[owner], wanted, burden)
     spots, owner = candidates[kept], owner[kept]
     lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
-    return repel(spots, normals[kept], lists, reach[owner], _ROUNDS), owner
+    push = reach[owner]
+    push[:held] = 0.0  # pushes, and is not pushed
+    return repel(spots, normals[kept], lists, push, _ROUNDS)[held:], owner[held:]
 
 
 def _doubt(
