@@ -31,7 +31,7 @@ LABEL org.opencontainers.image.title="pugeo" \
       org.opencontainers.image.licenses="Apache-2.0"
 RUN groupadd --gid 10001 pugeo \
     && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /nonexistent --shell /usr/sbin/nologin pugeo \
-    && install --directory --owner=10001 --group=10001 /var/cache/pugeo /var/spool/pugeo
+    && install --directory --owner=10001 --group=10001 /var/cache/pugeo /var/lib/pugeo /var/spool/pugeo
 COPY --from=build /opt/venv /opt/venv
 ENV PATH=/opt/venv/bin:$PATH \
     PYTHONUNBUFFERED=1 \
@@ -42,7 +42,8 @@ ENV PATH=/opt/venv/bin:$PATH \
     PUGEO_HOST=0.0.0.0 \
     PUGEO_PORT=8000 \
     PUGEO_LOG_FORMAT=json \
-    PUGEO_SPOOL_DIR=/var/spool/pugeo
+    PUGEO_SPOOL_DIR=/var/spool/pugeo \
+    PUGEO_JOBS_DIR=/var/lib/pugeo/jobs
 USER 10001:10001
 WORKDIR /var/spool/pugeo
 # The geometry kernels are compiled here once, by making a small cloud denser; a host with another

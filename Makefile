@@ -17,7 +17,7 @@ SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 .PHONY: help install demo test test-long test-postgres serve lint format train bench openapi constraints clean
 
 help: ## list these targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 install: $(VENV)/.installed-dev ## make .venv with everything that developing needs
 
@@ -58,6 +58,14 @@ bench: $(VENV)/.installed-dev ## print the figures of the README, with machine a
 openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
 	@$(BIN)/python -m pugeo_service.openapi > docs/openapi.new
 	@mv docs/openapi.new docs/openapi.json
+
+reliability-load: $(VENV)/.installed-dev ## 64 clients for 5 minutes (ARGS="--seconds 30 --cores 0,1")
+reliability-overload: $(VENV)/.installed-dev ## ten times the capacity for 2 minutes
+reliability-faults: $(VENV)/.installed-dev ## SIGKILL at 200 random moments (ARGS="--runs 20")
+reliability-fuzz: $(VENV)/.installed-dev ## a million broken files (ARGS="--replay 17")
+reliability-http: $(VENV)/.installed-dev ## broken HTTP, every route beyond its description
+reliability-%:
+	@$(BIN)/python -m benchmarks.reliability $* $(ARGS)
 
 constraints: $(VENV)/.installed-dev ## write what .venv holds now into constraints.txt
 	@{ head -1 constraints.txt; $(PIP) freeze --exclude-editable 2>/dev/null | sed 's/+cpu$$//' | LC_ALL=C sort -f; } > constraints.new

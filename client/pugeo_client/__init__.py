@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pugeo_client._aclient import AsyncClient
     from pugeo_client._client import Client, upsample
     from pugeo_client._result import Meta, Result
+    from pugeo_client._wire import Options
     from pugeo_client.errors import PugeoError
     from pugeo_client.jobs import AsyncJob, Job
 
@@ -30,6 +31,7 @@ __all__ = [
     "Client",
     "Job",
     "Meta",
+    "Options",
     "PugeoError",
     "Result",
     "__version__",
@@ -43,6 +45,7 @@ _HOMES = {
     "Client": "_client",
     "Job": "jobs",
     "Meta": "_result",
+    "Options": "_wire",
     "PugeoError": "errors",
     "Result": "_result",
     "upsample": "_client",

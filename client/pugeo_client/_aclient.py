@@ -4,9 +4,9 @@
 import asyncio
 import os
 from collections import deque
-from collections.abc import AsyncIterator, Iterable, Sequence
+from collections.abc import AsyncIterator, Iterable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 from pugeo_client import _wire
 from pugeo_client._attempts import Attempts, Progress
@@ -15,7 +15,7 @@ from pugeo_client._job import job_request, list_request, submission
 from pugeo_client._result import Result
 from pugeo_client._sink import Sink
 from pugeo_client._source import Source
-from pugeo_client._wire import Request
+from pugeo_client._wire import Options, Request
 from pugeo_client.errors import PugeoError, status_error
 from pugeo_client.jobs import AsyncJob
 
@@ -61,27 +61,16 @@ class AsyncClient:
         src: Source,
         ratio: float = 4,
         *,
-        n_points: int | None = None,
-        orient: str = "auto",
-        viewpoint: Sequence[float] | None = None,
-        seed: int = 0,
         out: str | os.PathLike[str] | None = None,
         format: str | None = None,
         timeout: float | None = None,  # noqa: ASYNC109 - a limit on retries too
         on_progress: Progress | None = None,
+        **options: Unpack[Options],
     ) -> Result:
         """Make a cloud denser; arguments, result and errors are those of `Client.upsample`."""
         target = None if out is None else Path(out)
         answer = format if format and target else _wire.default_format(target)
-        request = _wire.upsample_request(
-            src,
-            ratio=ratio,
-            n_points=n_points,
-            orient=orient,
-            viewpoint=viewpoint,
-            seed=seed,
-            answer=answer,
-        )
+        request = _wire.upsample_request(src, ratio, answer, **options)
         sink = Sink(format=answer, out=target)
         return await self._call(request, sink, timeout=timeout, on_progress=on_progress)
 
@@ -110,25 +99,14 @@ class AsyncClient:
         src: Source,
         ratio: float = 4,
         *,
-        n_points: int | None = None,
-        orient: str = "auto",
-        viewpoint: Sequence[float] | None = None,
-        seed: int = 0,
         format: str = "ply",
         idempotency_key: str | None = None,
         timeout: float | None = None,  # noqa: ASYNC109 - a limit on retries too
         on_progress: Progress | None = None,
+        **options: Unpack[Options],
     ) -> AsyncJob:
         """Hand a cloud over to be made denser later; arguments as in `Client.submit`."""
-        request = _wire.upsample_request(
-            src,
-            ratio=ratio,
-            n_points=n_points,
-            orient=orient,
-            viewpoint=viewpoint,
-            seed=seed,
-            answer=format,
-        )
+        request = _wire.upsample_request(src, ratio, format, **options)
         answer = await self._call(
             submission(request, idempotency_key),
             Sink(format="json", out=None),

@@ -4,10 +4,10 @@
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 from pugeo_client import _wire
 from pugeo_client._attempts import Attempts, Progress
@@ -16,7 +16,7 @@ from pugeo_client._job import job_request, list_request, submission
 from pugeo_client._result import Result
 from pugeo_client._sink import Sink
 from pugeo_client._source import Source
-from pugeo_client._wire import Request
+from pugeo_client._wire import Options, Request
 from pugeo_client.errors import PugeoError, status_error
 from pugeo_client.jobs import Job
 
@@ -62,14 +62,11 @@ class Client:
         src: Source,
         ratio: float = 4,
         *,
-        n_points: int | None = None,
-        orient: str = "auto",
-        viewpoint: Sequence[float] | None = None,
-        seed: int = 0,
         out: str | os.PathLike[str] | None = None,
         format: str | None = None,
         timeout: float | None = None,
         on_progress: Progress | None = None,
+        **options: Unpack[Options],
     ) -> Result:
         """Make a cloud denser.
 
@@ -78,16 +75,13 @@ class Client:
                 or ``(N, 6)`` array (columns 4 to 6 are normals); or a dict of arrays ``points``,
                 ``normals``, ``colors``, ``scalars``. Files are streamed, never held in memory.
             ratio: how many times as many points, any number from 1 to 32.
-            n_points: exactly so many points, instead of ``ratio``.
-            orient: which side normals face: ``auto``, ``viewpoint``, ``mst``, ``outward``,
-                ``input`` or ``none``.
-            viewpoint: ``(x, y, z)`` that normals face, in the cloud's own frame.
-            seed: of the placement; the same seed gives the same cloud.
             out: file to stream the answer to; it appears when it is complete.
             format: of ``out``: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``; by its
                 extension by default.
             timeout: seconds for this call; the client's own by default.
             on_progress: called with a stage (``"send"``, ``"receive"``), bytes done, bytes in all.
+            **options: ``n_points`` (exactly so many, instead of ``ratio``), ``orient``,
+                ``viewpoint``, ``seed``, ``keep_input``; see `Options`.
 
         Returns:
             The dense cloud, with what the service said about it.
@@ -99,15 +93,7 @@ class Client:
         """
         target = None if out is None else Path(out)
         answer = format if format and target else _wire.default_format(target)
-        request = _wire.upsample_request(
-            src,
-            ratio=ratio,
-            n_points=n_points,
-            orient=orient,
-            viewpoint=viewpoint,
-            seed=seed,
-            answer=answer,
-        )
+        request = _wire.upsample_request(src, ratio, answer, **options)
         sink = Sink(format=answer, out=target)
         return self._call(request, sink, timeout=timeout, on_progress=on_progress)
 
@@ -143,14 +129,11 @@ class Client:
         src: Source,
         ratio: float = 4,
         *,
-        n_points: int | None = None,
-        orient: str = "auto",
-        viewpoint: Sequence[float] | None = None,
-        seed: int = 0,
         format: str = "ply",
         idempotency_key: str | None = None,
         timeout: float | None = None,
         on_progress: Progress | None = None,
+        **options: Unpack[Options],
     ) -> Job:
         """Hand a cloud over to be made denser later, also across restarts of the service.
 
@@ -159,29 +142,18 @@ class Client:
         Args:
             src: as in `upsample`, like the other options that are not explained here.
             ratio: how many times as many points.
-            n_points: exactly so many points, instead of ``ratio``.
-            orient: which side normals face.
-            viewpoint: ``(x, y, z)`` that normals face.
-            seed: of the placement.
             format: of the result: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``.
             idempotency_key: your own name of this job: submitting the same again under it gives
                 the same job, also from another process. By default a new one for each call.
             timeout: seconds to hand it over; the client's own by default.
             on_progress: called with ``"send"``, bytes done, bytes in all.
+            **options: as in `upsample`.
 
         Raises:
             Unprocessable: the key was used for another cloud or other options.
             PugeoError: as `upsample`.
         """
-        request = _wire.upsample_request(
-            src,
-            ratio=ratio,
-            n_points=n_points,
-            orient=orient,
-            viewpoint=viewpoint,
-            seed=seed,
-            answer=format,
-        )
+        request = _wire.upsample_request(src, ratio, format, **options)
         answer = self._call(
             submission(request, idempotency_key),
             Sink(format="json", out=None),

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from pugeo_client._result import Meta
 from pugeo_client._source import Body, Source, body_of
@@ -16,6 +16,7 @@ from pugeo_client._version import __version__
 from pugeo_client.errors import BadAnswer, SourceError
 
 __all__ = [
+    "Options",
     "Request",
     "base_headers",
     "base_url",
@@ -81,31 +82,51 @@ def default_format(out: Path | None) -> str:
     return _FORMATS[suffix]
 
 
+class Options(TypedDict, total=False):
+    """What `Client.upsample`, `Client.submit` and their kin take besides the ratio.
+
+    Attributes:
+        n_points: exactly so many points, instead of the ratio.
+        orient: which side normals face: ``auto``, ``viewpoint``, ``mst``, ``outward``, ``input``
+            or ``none``.
+        viewpoint: ``(x, y, z)`` that normals face, in the cloud's own frame.
+        seed: of the placement; the same seed gives the same cloud.
+        keep_input: begin with the input points, untouched and in their order; by default every
+            point is new, and noise is smoothed away.
+    """
+
+    n_points: int | None
+    orient: str
+    viewpoint: Sequence[float] | None
+    seed: int
+    keep_input: bool
+
+
 def upsample_request(
     source: Source,
-    *,
     ratio: float,
-    n_points: int | None,
-    orient: str,
-    viewpoint: Sequence[float] | None,
-    seed: int,
     answer: str,
+    *,
+    n_points: int | None = None,
+    orient: str = "auto",
+    viewpoint: Sequence[float] | None = None,
+    seed: int = 0,
+    keep_input: bool = False,
 ) -> Request:
     """Build ``POST /upsample``.
 
     Args:
         source: see `Source`.
         ratio: how many times as many points, 1 to 32. Not sent where ``n_points`` is given.
-        n_points: how many points, or None.
-        orient: how normals get their side.
-        viewpoint: ``(x, y, z)`` in the cloud's frame, or None.
-        seed: of the placement.
         answer: format of the answer: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``.
+        n_points: this and the rest: see `Options`.
 
     Raises:
         SourceError: the source cannot be sent, or the viewpoint is no three numbers.
     """
     params = {"orient": orient, "seed": str(seed), "format": answer}
+    if keep_input:
+        params["keep_input"] = "true"
     params |= {"R": repr(float(ratio))} if n_points is None else {"n_points": str(n_points)}
     if viewpoint is not None:
         if len(viewpoint) != _XYZ:

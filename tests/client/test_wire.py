@@ -10,22 +10,22 @@ from pugeo_client.errors import BadAnswer, SourceError
 
 
 def build(**changes: Any) -> _wire.Request:
-    options: dict[str, Any] = {
-        "ratio": 8, "n_points": None, "orient": "auto", "viewpoint": None, "seed": 0,
-        "answer": "ply",
-    }  # fmt: skip
+    options: dict[str, Any] = {"ratio": 8, "answer": "ply"}
     return _wire.upsample_request(b"ply\n", **(options | changes))
 
 
 def test_options_are_the_service_s_words() -> None:
     """Every option goes where the service looks for it."""
-    request = build(ratio=2.5, seed=7, orient="viewpoint", viewpoint=(500000.125, -1, 0))
+    request = build(
+        ratio=2.5, seed=7, orient="viewpoint", viewpoint=(500000.125, -1, 0), keep_input=True
+    )
     assert (request.method, request.path) == ("POST", "/upsample")
     assert dict(request.params) == {
         "R": "2.5",
         "seed": "7",
         "orient": "viewpoint",
         "viewpoint": "500000.125,-1.0,0.0",
+        "keep_input": "true",
         "format": "ply",
     }
     assert request.headers["Content-Length"] == "4"

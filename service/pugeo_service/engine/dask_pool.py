@@ -10,6 +10,7 @@ from typing import Any
 
 import dask
 import distributed
+import structlog
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
@@ -21,6 +22,7 @@ from pugeo_service.settings import Settings
 
 __all__ = ["DaskPool"]
 
+_log = structlog.stdlib.get_logger("pugeo.engine")
 # Its annotations cover half of it and contradict the other half.
 _dask: Any = distributed
 
@@ -172,8 +174,12 @@ class DaskPool:
         self._client = await _dask.Client(
             address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
         )
-        await self._client.register_plugin(ReportRetries())
-        self._client.subscribe_topic(TOPIC, self._count_retry)
+        try:
+            await self._client.register_plugin(ReportRetries())
+        except Exception as error:  # noqa: BLE001 - a count is not worth a connection
+            _log.warning("retries are not counted", reason=str(error))
+        else:
+            self._client.subscribe_topic(TOPIC, self._count_retry)
 
     def _count_retry(self, event: tuple[float, str]) -> None:
         _, patches, pool, _ = event[1].split("-")

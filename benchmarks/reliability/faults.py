@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SIGKILL for a worker or for the whole service, at random moments, under requests and jobs."""
+
+import argparse
+import asyncio
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx2
+
+from benchmarks.reliability.clouds import Ask, Book, ask
+from benchmarks.reliability.jobs import JobClient
+from benchmarks.reliability.processes import family, psutil
+from benchmarks.reliability.restarts import Phoenix
+from benchmarks.reliability.service import http, post
+from benchmarks.reliability.verdict import Claim, spread, verdict
+
+__all__ = ["arguments", "main"]
+
+_POINTS = (1_000, 3_000, 8_000)
+_SEEDS = 3
+_RETRY_S = 0.5
+_LOST_S = 600.0
+_ORPHAN_S = 30.0
+
+
+@dataclass
+class _Account:
+    """What was done to the service, and what it did.
+
+    Attributes:
+        kills: by kind.
+        given_up: requests that were not served within ten minutes.
+        tries: what came back, by status.
+        answered: requests served.
+        worker_back_s: seconds from the death of a worker until all were warm.
+        service_back_s: seconds from the death of the service until it was ready.
+        orphans: processes that outlived their service.
+    """
+
+    kills: Counter[str] = field(default_factory=Counter)
+    given_up: list[str] = field(default_factory=list)
+    tries: Counter[str] = field(default_factory=Counter)
+    answered: int = 0
+    worker_back_s: list[float] = field(default_factory=list)
+    service_back_s: list[float] = field(default_factory=list)
+    orphans: int = 0
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Describe what can be chosen."""
+    parser.add_argument("--runs", type=int, default=200, help="kills [200]")
+    parser.add_argument("--seconds", type=float, default=0.0, help="stop earlier [never]")
+    parser.add_argument("--service-share", type=float, default=0.25, help="of the kills [0.25]")
+    parser.add_argument("--clients", type=int, default=3, help="that send requests [3]")
+    parser.add_argument("--job-clients", type=int, default=3, help="that send jobs [3]")
+    parser.add_argument("--longest", type=float, default=6.0, help="seconds to a kill [6]")
+    parser.add_argument("--seed", type=int, default=1)
+
+
+def main(options: argparse.Namespace) -> int:
+    """Run it; return the exit status."""
+    with tempfile.TemporaryDirectory(prefix="pugeo-") as folder, Phoenix(Path(folder)) as service:
+        return asyncio.run(_run(service, options))
+
+
+async def _run(service: Phoenix, options: argparse.Namespace) -> int:
+    asks = [ask(points, 2.0, seed) for points in _POINTS for seed in range(_SEEDS)]
+    book, account, over = Book(), _Account(), asyncio.Event()
+    began = time.monotonic()
+    async with http() as client:
+        jobs = JobClient(client, service.url, book)
+
+        async def request(number: int) -> None:
+            rng = random.Random(f"{options.seed}:request:{number}")
+            while not over.is_set():
+                asked = rng.choice(asks)
+                if not await _insist(client, service.url, asked, account, book):
+                    account.given_up.append(asked.name)
+
+        async def submit(number: int) -> None:
+            rng = random.Random(f"{options.seed}:job:{number}")
+            while not over.is_set():
+                await jobs.run(rng.choice(asks), f"{options.seed}-{number}-{rng.random()}")
+
+        working = [asyncio.create_task(request(number)) for number in range(options.clients)]
+        working += [asyncio.create_task(submit(number)) for number in range(options.job_clients)]
+        rng = random.Random(options.seed)
+        for run in range(options.runs):
+            await asyncio.sleep(rng.uniform(0.1, options.longest))
+            await _kill(service, rng.random() < options.service_share, rng, account)
+            _tell(f"{run + 1} kills, {account.answered} requests, {jobs.succeeded} jobs")
+            if options.seconds and time.monotonic() - began > options.seconds:
+                break
+        over.set()
+        _tell("finishing what was accepted")
+        await asyncio.gather(*working)
+        listed = await jobs.listed()
+    return _report(options, book, account, jobs, listed, time.monotonic() - began)
+
+
+async def _insist(
+    client: httpx2.AsyncClient, url: str, asked: Ask, account: _Account, book: Book
+) -> bool:
+    """Send a request until it is served, as a client that retries would."""
+    end = time.monotonic() + _LOST_S
+    while time.monotonic() < end:
+        reply = await post(client, url, asked, _LOST_S)
+        account.tries[f"{reply.status} {reply.code}".strip()] += 1
+        if reply.status == 200:
+            book.check(asked, reply.body)
+            account.answered += 1
+            return True
+        if reply.status not in (0, 503):
+            return False
+        await asyncio.sleep(reply.retry_after or _RETRY_S)
+    return False
+
+
+async def _kill(service: Phoenix, whole: bool, rng: random.Random, account: _Account) -> None:
+    began = time.monotonic()
+    if not whole:
+        workers = service.server.workers()
+        if workers:
+            rng.choice(workers).kill()
+            account.kills["worker"] += 1
+            await asyncio.to_thread(service.until_all_warm)
+            account.worker_back_s.append(time.monotonic() - began)
+            return
+    before = family(service.server.process.pid)
+    os.kill(service.server.process.pid, signal.SIGKILL)
+    account.kills["service"] += 1
+    # Workers end themselves once the process that started them is gone.
+    _, alive = await asyncio.to_thread(psutil.wait_procs, before[1:], _ORPHAN_S)
+    account.orphans += len(alive)
+    began = time.monotonic()
+    await asyncio.to_thread(service.rise)
+    account.service_back_s.append(time.monotonic() - began)
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _report(
+    options: argparse.Namespace,
+    book: Book,
+    account: _Account,
+    jobs: JobClient,
+    listed: int,
+    seconds: float,
+) -> int:
+    kills = sum(account.kills.values())
+    shown = ", ".join(f"{n} of {what}" for what, n in sorted(account.kills.items()))
+    refused = {
+        s: n for s, n in account.tries.items() if s[:3] not in ("200", "503") and s[0] != "0"
+    }
+    claims = [
+        Claim(
+            "no accepted job is lost: each succeeds, however often the service dies",
+            f"{jobs.succeeded} of {jobs.accepted} succeeded; {'; '.join(jobs.lost) or 'none lost'}",
+            jobs.succeeded == jobs.accepted > 0 and not jobs.lost,
+        ),
+        Claim(
+            "nothing is done twice: a request sent again under its key is the same job",
+            f"{listed} jobs for {jobs.accepted} keys, {jobs.resent} sent again, "
+            f"{len(jobs.doubled)} doubled",
+            listed == jobs.accepted and not jobs.doubled,
+        ),
+        Claim(
+            "each request is served to a client that retries, with no status but 200 and 503",
+            f"{account.answered} served, {len(account.given_up)} not; "
+            f"{sum(refused.values())} of another status",
+            account.answered > 0 and not account.given_up and not refused,
+        ),
+        Claim(
+            "no answer and no result is wrong, or other than before",
+            f"{book.right} right, {len(book.wrong)} wrong",
+            not book.wrong,
+        ),
+        Claim("no process outlives its service", f"{account.orphans} did", not account.orphans),
+    ]
+    tries = ", ".join(f"{n} times {status}" for status, n in sorted(account.tries.items()))
+    figures = [
+        ("kills", f"{kills}: {shown}; in {seconds:.0f} s"),
+        ("from the kill of a worker until all are warm", spread(account.worker_back_s, "s")),
+        ("from the restart of the service until it is ready", spread(account.service_back_s, "s")),
+        ("what came back of requests (0: the connection broke)", tries),
+    ]
+    raw = {
+        "arguments": {k: v for k, v in vars(options).items() if k != "out"},
+        "wrong": book.wrong,
+        "given_up": account.given_up,
+        "lost": jobs.lost,
+        "doubled": jobs.doubled,
+        "tries": dict(account.tries),
+    }
+    status = verdict("faults", options.out, claims, figures, raw, os.sched_getaffinity(0))
+    if kills < options.runs:
+        print(f"stopped after {kills} of {options.runs} kills")
+    return status

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``GET /docs``: the interactive page of the API, with nothing from anybody else's server."""
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+
+from fastapi import APIRouter, HTTPException
+from starlette.responses import FileResponse, HTMLResponse, Response
+
+__all__ = ["router"]
+
+router = APIRouter(include_in_schema=False)
+
+# Swagger UI (Apache-2.0) draws its icons from data URLs.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+# Addresses without a leading slash: the page also works behind a proxy's prefix.
+_PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>pugeo: the API</title>
+<link rel="icon" href="data:,">
+<link rel="stylesheet" href="docs/swagger-ui.css">
+<main id="docs"></main>
+<noscript>This page needs scripts; <a href="openapi.json">openapi.json</a> says the same.</noscript>
+<script src="docs/swagger-ui-bundle.js"></script>
+<script src="docs/start.js"></script>
+"""
+_START = """SwaggerUIBundle({
+  url: "openapi.json",
+  dom_id: "#docs",
+  deepLinking: true,
+  displayRequestDuration: true,
+  tryItOutEnabled: true,
+  validatorUrl: null,
+});
+"""
+
+
+@dataclass(frozen=True)
+class _Asset:
+    media_type: str
+    file: Path | None = None
+
+
+def _bundled() -> Path:
+    """Return the folder of Swagger UI, without importing the package that carries it."""
+    found = importlib.util.find_spec("fastapi_standalone_docs")
+    assert found is not None
+    assert found.origin is not None
+    return Path(found.origin).parent / "static" / "swagger"
+
+
+_ASSETS = {
+    "start.js": _Asset("text/javascript"),
+    "swagger-ui.css": _Asset("text/css", _bundled() / "swagger-ui.css"),
+    "swagger-ui-bundle.js": _Asset("text/javascript", _bundled() / "swagger-ui-bundle.js"),
+}
+
+
+@router.get("/docs")
+async def page() -> HTMLResponse:
+    """Return the page."""
+    return HTMLResponse(_PAGE, headers={"Content-Security-Policy": _POLICY})
+
+
+@router.get("/docs/{name}")
+async def asset(name: str) -> Response:
+    """Return a script or style of the page."""
+    found = _ASSETS.get(name)
+    if found is None:
+        raise HTTPException(404)
+    # An hour, for the names do not change with the content.
+    headers = {"Cache-Control": "public, max-age=3600"}
+    if found.file is None:
+        return Response(_START, media_type=found.media_type, headers=headers)
+    return FileResponse(found.file, media_type=found.media_type, headers=headers)

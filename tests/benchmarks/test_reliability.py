@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The harnesses notice what they are there to notice; a small dose of each is part of every run."""
+
+import io
+import itertools
+import json
+import math
+import mmap
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("benchmarks", reason="not part of a source distribution")
+
+from benchmarks.reliability import trial
+from benchmarks.reliability.clouds import Book, ask
+from benchmarks.reliability.corpus import corpus
+from benchmarks.reliability.verdict import Claim, quantile, verdict
+
+from pugeo_model import Cloud, formats
+from pugeo_model.formats import FORMATS
+
+INPUTS = 2_000
+
+
+@pytest.fixture(name="place")
+def _place() -> mmap.mmap:
+    return mmap.mmap(-1, 8)
+
+
+def test_broken_files(place: mmap.mmap) -> None:
+    """Two thousand, through all readers: a cloud or a CloudError, for little memory and time."""
+    found = trial.run(0, 0, INPUTS, place)
+    assert found.findings == []
+    assert sum(found.outcomes.values()) == INPUTS
+    assert {key.split()[0] for key in found.outcomes} == set(corpus())
+    # Reached deep enough: every kind is still read at times, and refused for several reasons.
+    for kind in corpus():
+        assert f"{kind} read" in found.outcomes
+        assert sum(key.startswith(f"{kind} ") for key in found.outcomes) > 4
+
+
+def test_every_file_of_the_corpus_is_valid() -> None:
+    """Mutations start from what the readers take, in every format that can be told from others."""
+    told = set()
+    for files in corpus().values():
+        for data in files:
+            told.add(formats.detect(io.BytesIO(data)))
+            assert len(formats.read(io.BytesIO(data), limits=trial.LIMITS)) > 0
+    assert told == set(FORMATS)
+
+
+def test_inputs_can_be_replayed() -> None:
+    """The same seed and number give the same bytes, another seed others."""
+    first, again, other = (trial.inputs(seed) for seed in (3, 3, 4))
+    assert [first(i) for i in range(50)] == [again(i) for i in range(50)]
+    assert [first(i) for i in range(50)] != [other(i) for i in range(50)]
+
+
+@pytest.mark.parametrize("fault", ["raise", "hoard", "linger"])
+def test_findings(monkeypatch: pytest.MonkeyPatch, place: mmap.mmap, fault: str) -> None:
+    """Another exception, too much memory and too much time are noted, with the input's number."""
+    honest, count = formats.read, itertools.count(1)
+    # Each valid file is read first; then the third of the inputs is the one.
+    guilty = 3 + sum(map(len, corpus().values()))
+
+    def faulty(source: Any, **options: Any) -> Cloud:
+        if next(count) == guilty:
+            if fault == "raise":
+                raise ZeroDivisionError
+            if fault == "hoard":
+                bytearray(64 << 20)
+        return honest(source, **options)
+
+    monkeypatch.setattr(formats, "read", faulty)
+    if fault == "linger":
+        clock = itertools.count(0.0, 1.5)
+        monkeypatch.setattr(time, "thread_time", lambda: next(clock))
+        monkeypatch.setattr(trial, "SECONDS", 1.0)
+    found = trial.run(0, 100, 104, place).findings
+    if fault == "linger":
+        assert [one["index"] for one in found] == [100, 101, 102, 103]
+        assert "took 1.5 s" in found[0]["what"]
+    else:
+        assert [one["index"] for one in found] == [102]
+        assert ("ZeroDivisionError" if fault == "raise" else "bytes for a file") in found[0]["what"]
+
+
+def answer(points: NDArray[np.float64]) -> bytes:
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    buffer = io.BytesIO()
+    formats.write(Cloud(points.astype(np.float32), normals.astype(np.float32)), buffer)
+    return buffer.getvalue()
+
+
+def test_wrong_answers_are_found_out() -> None:
+    """A point too few, a point off the surface, and other bytes than last time are wrong."""
+    asked = ask(500, ratio=1.5)
+    directions = np.random.default_rng(1).normal(size=(asked.points_out, 3))
+    right = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    off = right.copy()
+    off[7] *= 1.0 + 0.11 * math.sqrt(4.0 * math.pi / 500)
+    book = Book()
+    assert not book.check(asked, answer(right[1:]))
+    assert not book.check(asked, answer(off))
+    assert book.check(asked, answer(right))
+    assert book.check(asked, answer(right))
+    assert not book.check(asked, answer(right[::-1]))
+    assert [fault.partition(": ")[2] for fault in book.wrong] == [
+        "749 points, not 750",
+        "a point is 0.11 spacings off the sphere",
+        "other bytes than the same request had before",
+    ]
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_the_status_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str], holds: bool) -> None:
+    """A claim that fails makes the status 1 and says so, in the table and in the file."""
+    claims = [Claim("water is wet", "it is", True), Claim("all is well", "hardly", holds)]
+    status = verdict("name", tmp_path, claims, [("figure", "1")], {"seed": 1}, [0])
+    assert status == (0 if holds else 1)
+    assert ("| all is well | hardly | FAILS |" in capsys.readouterr().out) is not holds
+    written = json.loads((tmp_path / "name.json").read_text())
+    assert (written["holds"], written["seed"], written["figures"]) == (holds, 1, {"figure": "1"})
+
+
+def test_quantiles() -> None:
+    """The 99th percentile of a hundred values is the second largest, of few the largest."""
+    assert quantile(list(range(100)), 0.99) == 98
+    assert quantile([3.0, 1.0, 2.0], 0.99) == 3.0
+    assert quantile([3.0, 1.0, 2.0], 0.5) == 2.0
+    assert math.isnan(quantile([], 0.5))

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys, shares and deadlines on a running service."""
+
+import io
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+
+from pugeo_client import Client, errors
+from pugeo_model import Cloud, formats
+from pugeo_service.keys import Entry, hash_of
+
+pytestmark = pytest.mark.slow
+
+
+def ball(count: int) -> bytes:
+    """A sphere of so many points, as a PLY file."""
+    directions = np.random.default_rng(count).normal(size=(count, 3))
+    sphere = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    buffer = io.BytesIO()
+    formats.write(Cloud(sphere.astype(np.float32)), buffer, format="ply")
+    return buffer.getvalue()
+
+
+SMALL, LARGE = ball(3000), ball(40_000)
+
+
+def bearer(name: str) -> dict[str, str]:
+    """The header of a key; its token is its name twice."""
+    return {"Authorization": f"Bearer {name * 2}"}
+
+
+def write_keys(path: Path, *names: str) -> None:
+    """Put the keys of these names into the file, all at once, as a secret is swapped."""
+    path.with_suffix(".new").write_text(
+        "".join(f"{Entry(name, hash_of(name * 2))}\n" for name in names)
+    )
+    path.with_suffix(".new").replace(path)
+
+
+def metrics_of(log: Path) -> str:
+    """The metrics at their own port, which the log names."""
+    for line in log.read_text().splitlines():
+        entry = json.loads(line)
+        if entry["event"] == "metrics":
+            return httpx2.get(f"http://127.0.0.1:{entry['port']}/metrics").text
+    pytest.fail("no port of metrics in the log")
+
+
+def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
+    """One owner's large cloud leaves room for another's; keys rotate; deadlines end work."""
+    path = tmp_path / "keys"
+    write_keys(path, "ann")
+    options = ["--queue-patches", "33", "--metrics-port", "0", "--api-keys-file", str(path)]
+    with launch(*options) as server:
+        server.wait_until_ready()
+        url = f"{server.url}/upsample?R=2"
+        assert httpx2.post(url, content=SMALL).status_code == 401
+        assert httpx2.get(f"{server.url}/metrics", headers=bearer("ann")).status_code == 404
+        assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
+
+        # Ann's large cloud takes more than half of the queue; Bob's small one does not wait.
+        answers: dict[str, Any] = {}
+        wait = {"Prefer": "wait=60", **bearer("ann")}
+
+        def large() -> None:
+            answers["large"] = httpx2.post(url, content=LARGE, headers=wait, timeout=100)
+
+        thread = threading.Thread(target=large)
+        thread.start()
+        while "pugeo_queue_patches 0.0" in metrics_of(server.log):
+            time.sleep(0.02)
+        write_keys(path, "ann", "bob")
+        refused = httpx2.post(url, content=ball(20_000), headers=bearer("ann"))
+        assert (refused.status_code, refused.json()["code"]) == (429, "share_exceeded")
+        assert refused.json()["retryable"] is True
+        assert int(refused.headers["retry-after"]) >= 1
+        with Client(server.url, api_key="bobbob", timeout=60) as bob:
+            dense = bob.upsample(SMALL, 2)
+            assert len(dense) == 6000
+        assert "large" not in answers
+        thread.join()
+        assert answers["large"].status_code == 200
+        assert answers["large"].headers["preference-applied"] == "wait=60"
+
+        # The speed is known now: what cannot be done in a second is refused at once.
+        began = time.monotonic()
+        late = httpx2.post(
+            url, content=LARGE, headers={"Prefer": "wait=1", **bearer("ann")}, timeout=60
+        )
+        assert late.status_code == 504
+        assert late.json()["code"] in {"deadline_too_short", "deadline_exceeded"}
+        assert time.monotonic() - began < 5
+        after = httpx2.post(url, content=SMALL, headers=bearer("ann"), timeout=60)
+        assert after.status_code == 200
+        assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
+
+        # Bob is shut out without a restart, and so is everybody once the file is gone.
+        write_keys(path, "ann")
+        with Client(server.url, api_key="bobbob") as bob, pytest.raises(errors.Unauthorized):
+            bob.upsample(SMALL)
+        path.unlink()
+        assert httpx2.get(f"{server.url}/models", headers=bearer("ann")).status_code == 401
+        assert httpx2.get(f"{server.url}/health/live").status_code == 200
+        assert server.stop() == 0
+        log = server.log.read_text()
+        assert '"owner": "bob"' in log
+        assert "bobbob" not in log
+        assert "annann" not in log
+
+
+def test_a_metrics_port_that_is_taken(server: Any) -> None:
+    """The service says so and ends, as for its own port."""
+    taken = server.url.rpartition(":")[2]
+    command = [sys.executable, "-m", "pugeo_service", "--port", "0", "--metrics-port", taken]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert "cannot listen" in ended.stderr
+    assert "Traceback" not in ended.stderr

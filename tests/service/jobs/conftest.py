@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The jobs API whole, with a real database and real files; only the engine is played."""
+
+import asyncio
+import os
+import pwd
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from pugeo_model.errors import MalformedFile
+from pugeo_service import app as app_module
+from pugeo_service.app import create_app
+from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
+from pugeo_service.engine.engine import Status
+from pugeo_service.jobs.service import Jobs
+from pugeo_service.settings import Settings
+from pugeo_service.spool import Spool
+
+REPORT = {
+    "points_in": 4,
+    "points_out": 8,
+    "dropped": {"non_finite": 1, "duplicate": 2},
+    "notes": [],
+}
+
+
+class PlayedEngine:
+    """Does to bytes what the real one does to clouds: the same each time, in so many patches.
+
+    ``hold`` keeps it from finishing; the body decides what goes wrong.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.hold = asyncio.Event()
+        self.hold.set()
+        self.began: list[bytes] = []
+        self.orders: list[Order] = []
+        self.running = 0
+        self.most_running = 0
+        self.lose = 0
+
+    @property
+    def status(self) -> Status:
+        return Status(workers=2, expected=2, lost=0, retried=0)
+
+    async def start(self) -> None:
+        pass
+
+    async def stop(self) -> None:
+        pass
+
+    async def run(
+        self,
+        body: Any,
+        order: Order,
+        *,
+        on_patches: Callable[[int], object],
+        on_done: Callable[[int], object],
+        on_stage: Callable[[str], object] = lambda _: None,
+    ) -> Outcome:
+        data = (await body.read()).tobytes()
+        self.began.append(data)
+        self.orders.append(order)
+        self.running += 1
+        self.most_running = max(self.running, self.most_running)
+        try:
+            on_stage("prepare")
+            on_patches(4)
+            on_stage("predict")
+            on_done(1)
+            await self.hold.wait()
+            self._go_wrong(data)
+            on_done(3)
+            on_stage("finish")
+        finally:
+            self.running -= 1
+        spool = Spool(self.settings.spool_dir)
+        await spool.write(b"dense " + data * 2)
+        return Outcome(spool, REPORT, {"queue": 0.0, "predict": 0.5}, [(0.5, 4)])
+
+    def _go_wrong(self, data: bytes) -> None:
+        if data.startswith(b"malformed"):
+            raise MalformedFile("it is broken", code="malformed_file", row=7)
+        if data.startswith(b"poison"):
+            raise WorkerLost("it ended two workers")
+        if data.startswith(b"bug"):
+            raise ZeroDivisionError
+        if self.lose:
+            self.lose -= 1
+            raise EngineLost("the scheduler is gone")
+
+
+class House:
+    """One running service.
+
+    Attributes:
+        http: talks to it.
+        engine: what it works with.
+        jobs: its jobs.
+        folder: of its jobs.
+    """
+
+    def __init__(
+        self, http: httpx2.AsyncClient, engine: PlayedEngine, jobs: Jobs, folder: Path
+    ) -> None:
+        self.http = http
+        self.engine = engine
+        self.jobs = jobs
+        self.folder = folder
+
+    async def submit(self, body: bytes = b"cloud", query: str = "?R=2", **headers: str) -> Any:
+        """Submit a job and return its JSON."""
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        answer = await self.http.post(f"/jobs{query}", content=body, headers=named)
+        assert answer.status_code == 202, answer.text
+        return answer.json()
+
+    async def until_open(self) -> None:
+        """Wait until jobs are accepted."""
+        end = time.monotonic() + 20
+        while (await self.http.get("/jobs")).status_code != 200:
+            assert time.monotonic() < end
+            await asyncio.sleep(0.01)
+
+    async def get(self, job_id: str) -> Any:
+        """The JSON of a job."""
+        answer = await self.http.get(f"/jobs/{job_id}")
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    async def until(self, job_id: str, *states: str) -> Any:
+        """Wait until a job is in one of some states."""
+        end = time.monotonic() + 20
+        while (job := await self.get(job_id))["state"] not in states:
+            assert time.monotonic() < end, job
+            await asyncio.sleep(0.01)
+        return job
+
+    async def eventually(self, check: Callable[[], bool]) -> None:
+        """Wait until something is true."""
+        end = time.monotonic() + 20
+        while not check():
+            assert time.monotonic() < end
+            await asyncio.sleep(0.01)
+
+    def names(self, folder: str) -> list[str]:
+        """The names of the files in one of the folders."""
+        return sorted(path.name for path in (self.folder / folder).iterdir())
+
+
+Open = Callable[..., Any]
+
+
+@pytest.fixture
+def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: str | None) -> Open:
+    """Start a service: ``async with open_house(jobs_running=1) as house``; again for a restart."""
+    monkeypatch.setattr(app_module, "Engine", PlayedEngine)
+    monkeypatch.setattr("pugeo_service.jobs.runner._LOOK_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 0.02)
+    monkeypatch.setattr("pugeo_service.jobs.keeper._ROUND_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.settle._AGAIN_S", 0.05)
+
+    @asynccontextmanager
+    async def opened(**settings: Any) -> AsyncIterator[House]:
+        spool = tmp_path / "spool"
+        spool.mkdir(exist_ok=True)
+        given = {"spool_dir": spool, "jobs_dir": tmp_path / "jobs", "database_url": database_url}
+        chosen = Settings(**(given | settings))
+        app = create_app(chosen)
+        transport = httpx2.ASGITransport(app=app)
+        lifespan = app.router.lifespan_context(app)
+        await lifespan.__aenter__()
+        try:
+            async with httpx2.AsyncClient(transport=transport, base_url="http://test") as http:
+                service = app.state.service
+                yield House(http, service.engine, service.jobs, chosen.jobs_folder)
+        finally:
+            # As a server does it, whatever became of the test.
+            await lifespan.__aexit__(None, None, None)
+
+    return opened
+
+
+@pytest.fixture
+def play(open_house: Open) -> Callable[..., None]:
+    """Run a scenario against one service: ``play(scenario, jobs_queue=2)``."""
+
+    def run(scenario: Callable[[House], Awaitable[None]], **settings: Any) -> None:
+        async def whole() -> None:
+            async with open_house(**settings) as house:
+                await scenario(house)
+
+        asyncio.run(whole())
+
+    return run
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
+def database_url(request: pytest.FixtureRequest) -> str | None:
+    """Where jobs are: the default, SQLite in their folder, or an empty PostgreSQL database."""
+    if request.param == "sqlite":
+        return None
+    return str(request.getfixturevalue("postgres")())
+
+
+def _programs() -> Path | None:
+    """The folder of PostgreSQL's programs, if it is installed."""
+    for found in (
+        shutil.which("initdb"),
+        *sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")),
+    ):
+        if found is not None:
+            return Path(found).resolve().parent
+    return None
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Callable[[], str]]:
+    """A PostgreSQL server of its own; call it for the URL of an empty database."""
+    programs = _programs()
+    if os.environ.get("PUGEO_TEST_POSTGRES") != "1":
+        pytest.skip("make test-postgres runs it")
+    if programs is None:
+        pytest.skip("PostgreSQL is not installed: there is no initdb")
+    # It refuses to run as root.
+    user = "nobody" if os.geteuid() == 0 else None
+    folder = Path(tempfile.mkdtemp(prefix="pugeo-postgres-"))
+    if user is not None:
+        os.chown(folder, pwd.getpwnam(user).pw_uid, -1)
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    data = str(folder / "data")
+
+    def run(program: str, *arguments: str) -> None:
+        command = [str(programs / program), *arguments]
+        subprocess.run(command, check=True, user=user, stdout=subprocess.DEVNULL, cwd=folder)
+
+    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off"
+    run("initdb", "-D", data, "-U", "pugeo", "--auth=trust", "--no-sync")
+    try:
+        run("pg_ctl", "-D", data, "-o", options, "-l", str(folder / "log"), "-w", "start")
+        made = 0
+
+        def empty() -> str:
+            nonlocal made
+            made += 1
+            arguments = ["-h", "127.0.0.1", "-p", str(port), "-U", "pugeo", f"jobs{made}"]
+            subprocess.run([programs / "createdb", *arguments], check=True)
+            return f"postgresql://pugeo@127.0.0.1:{port}/jobs{made}"
+
+        yield empty
+        run("pg_ctl", "-D", data, "-m", "immediate", "stop")
+    finally:
+        shutil.rmtree(folder)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long things are kept, and how many."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+
+def test_results_expire(play: Any) -> None:
+    """After its time the file is gone, the job says expired, and its result is a 410."""
+
+    async def scenario(house: Any) -> None:
+        job = await house.submit()
+        expired = await house.until(job["id"], "expired")
+        assert (expired["result"], expired["report"]["points_out"]) == (None, 8)
+        await house.eventually(lambda: house.names("results") == [])
+        result = await house.http.get(f"/jobs/{job['id']}/result")
+        assert (result.status_code, result.json()["code"]) == (410, "result_gone")
+
+    play(scenario, jobs_ttl_s=0.2)
+
+
+def test_a_result_is_not_served_a_moment_too_long(play: Any, monkeypatch: Any) -> None:
+    """Its time counts, and not when somebody got round to deleting it."""
+    monkeypatch.setattr("pugeo_service.jobs.keeper._ROUND_S", 60.0)
+
+    async def scenario(house: Any) -> None:
+        job = await house.submit()
+        await house.until(job["id"], "succeeded")
+        await asyncio.sleep(0.4)
+        result = await house.http.get(f"/jobs/{job['id']}/result")
+        assert (result.status_code, result.json()["code"]) == (410, "result_gone")
+
+    play(scenario, jobs_ttl_s=0.3)
+
+
+def test_rows_are_forgotten(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long after its end a job is a 404; one that is not finished is never forgotten."""
+    monkeypatch.setattr("pugeo_service.jobs.keeper._REMEMBER_S", 0.2)
+    monkeypatch.setattr("pugeo_service.jobs.keeper._SWEEP_S", 0.0)
+
+    async def scenario(house: Any) -> None:
+        bad = await house.submit(b"malformed")
+        await house.until(bad["id"], "failed")
+        house.engine.hold.clear()
+        waiting = await house.submit()
+        await asyncio.sleep(0.6)
+        forgotten = await house.http.get(f"/jobs/{bad['id']}")
+        assert (forgotten.status_code, forgotten.json()["code"]) == (404, "unknown_job")
+        assert (await house.get(waiting["id"]))["state"] in {"queued", "running"}
+        house.engine.hold.set()
+
+    play(scenario, jobs_ttl_s=0.2)
+
+
+def test_the_number_of_jobs_is_bounded(play: Any) -> None:
+    """One more than the bound is a 503 with Retry-After, before its body is read."""
+
+    async def scenario(house: Any) -> None:
+        house.engine.hold.clear()
+        jobs = [await house.submit() for _ in range(2)]
+        refused = await house.http.post("/jobs", content=b"x" * 100)
+        problem = refused.json()
+        assert (refused.status_code, problem["code"]) == (503, "jobs_full")
+        assert (problem["active_jobs"], problem["capacity_jobs"]) == (2, 2)
+        assert int(refused.headers["retry-after"]) > 0
+        await house.http.delete(f"/jobs/{jobs[0]['id']}")
+        await house.submit()
+
+    play(scenario, jobs_queue=2)
+
+
+def test_the_bytes_of_jobs_are_bounded(play: Any) -> None:
+    """Inputs that wait and results that are kept count; deleting makes room."""
+
+    async def scenario(house: Any) -> None:
+        job = await house.submit(b"x" * 40)  # its result has 86
+        await house.until(job["id"], "succeeded")
+        refused = await house.http.post("/jobs", content=b"x" * 40)
+        assert (refused.status_code, refused.json()["code"]) == (503, "jobs_full")
+        assert refused.json()["bytes"] == 86
+        assert house.names("inputs") == house.names("parts") == []
+        await house.http.delete(f"/jobs/{job['id']}")
+        await house.submit(b"x" * 40)
+
+    play(scenario, jobs_bytes=100)
+
+
+def test_many_at_once_keep_to_the_bound(play: Any) -> None:
+    """Of ten that come together no more are let in than there is room for."""
+
+    async def scenario(house: Any) -> None:
+        house.engine.hold.clear()
+        calls = [house.http.post("/jobs", content=b"x") for _ in range(10)]
+        statuses = sorted(answer.status_code for answer in await asyncio.gather(*calls))
+        assert statuses == [202] * 3 + [503] * 7
+        assert len(house.names("inputs")) == 3
+
+    play(scenario, jobs_queue=3)
