@@ -172,13 +172,21 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> Response:
         code = _CODE.get(error.status_code, "http_error")
-        detail = error.detail
+        detail, headers = error.detail, dict(error.headers or {})
         if error.status_code == 404:
             detail = f"There is nothing at {request.url.path}; /openapi.json lists what there is."
         elif error.status_code == 405:
             detail = f"{request.method} is not a method of {request.url.path}."
-        problem = Problem(error.status_code, code, detail, headers=error.headers)
+            headers["Allow"] = _allowed(app, request.scope, headers.get("Allow", ""))
+        problem = Problem(error.status_code, code, detail, headers=headers)
         return problem.response(request.scope)
+
+
+def _allowed(app: FastAPI, scope: Mapping[str, Any], found: str) -> str:
+    """Return all methods of a path, where the framework found those of one of its routes."""
+    path = getattr(scope.get("route"), "path", None)
+    described = {method.upper() for method in app.openapi()["paths"].get(path, ())}
+    return ", ".join(sorted({*described, *found.replace(",", " ").split()}))
 
 
 def _invalid(error: RequestValidationError) -> Problem:

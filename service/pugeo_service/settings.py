@@ -91,6 +91,9 @@ class Settings(BaseSettings):
         16 * 1024 * MIB
     )
     jobs_running: Annotated[int, Field(ge=1, description="jobs that run at one time")] = 2
+    jobs_attempts: Annotated[
+        int, Field(ge=1, description="ends of the service that a job may run at before it fails")
+    ] = 5
     jobs_ttl_s: Annotated[float, Field(gt=0, description="seconds a result is kept")] = 86400.0
     jobs_deadline_s: Annotated[float, Field(gt=0, description="seconds a job may run")] = 3600.0
 

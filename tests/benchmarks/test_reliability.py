@@ -24,7 +24,8 @@ from benchmarks.reliability.verdict import Claim, quantile, verdict
 from pugeo_model import Cloud, formats
 from pugeo_model.formats import FORMATS
 
-INPUTS = 2_000
+# A thousand inputs of those with which every warning is an error.
+START, STOP = 1_000, 2_000
 
 
 @pytest.fixture(name="place")
@@ -33,10 +34,10 @@ def _place() -> mmap.mmap:
 
 
 def test_broken_files(place: mmap.mmap) -> None:
-    """Two thousand, through all readers: a cloud or a CloudError, for little memory and time."""
-    found = trial.run(0, 0, INPUTS, place)
+    """A thousand, through all readers: a cloud or a CloudError, for little memory and time."""
+    found = trial.run(0, START, STOP, place)
     assert found.findings == []
-    assert sum(found.outcomes.values()) == INPUTS
+    assert sum(found.outcomes.values()) == STOP - START
     assert {key.split()[0] for key in found.outcomes} == set(corpus())
     # Reached deep enough: every kind is still read at times, and refused for several reasons.
     for kind in corpus():

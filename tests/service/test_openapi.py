@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.testclient import TestClient
 
 from pugeo_service.app import create_app
 from pugeo_service.guard import is_open
@@ -50,6 +51,16 @@ def test_every_route_says_whether_it_needs_a_key(document: dict[str, Any]) -> No
     for path, operation in operations(document):
         assert ("security" in operation) == (not is_open(path)), path
         assert ("401" in operation["responses"]) == (not is_open(path)), path
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/jobs/{job_id}", "/upsample"])
+def test_a_wrong_method_names_the_right_ones(document: dict[str, Any], path: str) -> None:
+    """405 allows exactly what the document has for that path."""
+    client = TestClient(create_app(Settings(engine="inline")))
+    answer = client.options(path.format(job_id="0"))
+    assert answer.status_code == 405
+    allowed = {method.lower() for method in answer.headers["allow"].split(", ")}
+    assert allowed == set(document["paths"][path])
 
 
 def test_operations_are_named(document: dict[str, Any]) -> None:

@@ -94,6 +94,10 @@ def client() -> TestClient:
     async def number(value: int) -> int:
         return value
 
+    @app.delete("/number")
+    async def forget() -> None:
+        return None
+
     return TestClient(app)
 
 
@@ -105,10 +109,10 @@ def test_unknown_route(client: TestClient) -> None:
 
 
 def test_wrong_method(client: TestClient) -> None:
-    """405 of the framework is a problem and keeps the header that says what is allowed."""
+    """405 of the framework is a problem, and its header names the methods of all the routes."""
     response = client.post("/number")
     assert (response.status_code, response.json()["code"]) == (405, "method_not_allowed")
-    assert response.headers["allow"] == "GET"
+    assert response.headers["allow"] == "DELETE, GET"
 
 
 def test_invalid_parameter(client: TestClient) -> None:

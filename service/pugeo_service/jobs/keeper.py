@@ -11,7 +11,7 @@ from pugeo_service.jobs import queue, store
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.presence import Presence
-from pugeo_service.jobs.settle import MOST_ATTEMPTS, Settlement, crashed
+from pugeo_service.jobs.settle import Settlement, crashed
 from pugeo_service.jobs.store import Usage
 from pugeo_service.problems import Problem
 from pugeo_service.telemetry import Telemetry
@@ -94,7 +94,7 @@ class Keeper:
         dead = await asyncio.to_thread(self._presence.dead, names)
         if not dead:
             return
-        spent = await self._database.write(queue.release, dead, MOST_ATTEMPTS)
+        spent = await self._database.write(queue.release, dead, self._settle.most_attempts)
         _log.warning("jobs of a process that ended are taken over", given_up=len(spent))
         for job in spent:
             await self._settle.fail(job, job.runner or "", crashed(job))

@@ -13,7 +13,7 @@ from pugeo_service.jobs import queue, store
 from pugeo_service.jobs.attempt import Attempt
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.settle import MOST_ATTEMPTS, Settlement, crashed
+from pugeo_service.jobs.settle import Settlement, crashed
 from pugeo_service.problems import Problem
 
 __all__ = ["Runner"]
@@ -133,7 +133,7 @@ class Runner:
             _log.info("job started", attempt=job.attempts, waited_s=waited)
             self._changed()
             try:
-                if job.attempts > MOST_ATTEMPTS:
+                if job.attempts > self._settle.most_attempts:
                     await self._settle.fail(job, self._name, crashed(job))
                     return
                 attempt = self._attempt(job)

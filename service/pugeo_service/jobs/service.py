@@ -69,7 +69,12 @@ class Jobs:
         self.watch = Watch(lambda ids: self._database.read(store.many, ids))
         self._submission = Submission(settings, self._database, self.files, self.arriving)
         settle = Settlement(
-            self._presence.name, self._database, self.files, telemetry, settings.jobs_ttl_s
+            self._presence.name,
+            self._database,
+            self.files,
+            telemetry,
+            settings.jobs_ttl_s,
+            settings.jobs_attempts,
         )
         attempt = functools.partial(
             Attempt,

@@ -11,15 +11,13 @@ from pugeo_model.errors import CloudError
 from pugeo_service.jobs import queue, store
 from pugeo_service.jobs.database import Database, Work
 from pugeo_service.jobs.files import InputLost, JobFiles
-from pugeo_service.jobs.record import Job, Success
+from pugeo_service.jobs.record import ACTIVE, Job, Success
 from pugeo_service.problems import Problem, bug
 from pugeo_service.telemetry import Telemetry
 
-__all__ = ["MOST_ATTEMPTS", "Settlement", "crashed"]
+__all__ = ["Settlement", "crashed"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
-# A job that was begun so often and never came to an end is taken for the cause.
-MOST_ATTEMPTS = 5
 _ENGINE_BACK_S = 5.0
 _STORAGE_BACK_S = 30.0
 _AGAIN_S = 1.0
@@ -44,19 +42,28 @@ class Settlement:
         files: where their inputs and results are.
         telemetry: counts ends.
         ttl_s: seconds that results are kept.
+        most_attempts: a job that was begun so often and never came to an end is taken for the
+            cause.
 
     Attributes:
         hurry: a database that fails is not asked again.
     """
 
     def __init__(
-        self, runner: str, database: Database, files: JobFiles, telemetry: Telemetry, ttl_s: float
+        self,
+        runner: str,
+        database: Database,
+        files: JobFiles,
+        telemetry: Telemetry,
+        ttl_s: float,
+        most_attempts: int,
     ) -> None:
         self._runner = runner
         self._database = database
         self._files = files
         self._telemetry = telemetry
         self._ttl_s = ttl_s
+        self.most_attempts = most_attempts
         self.hurry = False
 
     async def __call__(self, job: Job, work: "asyncio.Task[Success]") -> None:
@@ -108,21 +115,26 @@ class Settlement:
         now = time.time()
         if problem.code == "engine_lost":
             again = (job.attempts - 1, now + _ENGINE_BACK_S)
-        elif problem.code in _OUR_DISK and job.attempts < MOST_ATTEMPTS:
+        elif problem.code in _OUR_DISK and job.attempts < self.most_attempts:
             again = (job.attempts, now + _STORAGE_BACK_S)
         else:
             await self.fail(job, self._runner, problem)
             return
         _log.warning("job put back", code=problem.code)
-        await self._insist(queue.give_back, job.id, self._runner, *again)
-        await self._clean(job)
+        if not await self._insist(queue.give_back, job.id, self._runner, *again):
+            await self._clean(job)
 
     async def _clean(self, job: Job) -> None:
-        """Remove the files that the job, as it is now, does not need."""
+        """Remove the files that the job, as it is now, does not need.
+
+        Those of a job that is not finished stay, its result too: another process may be about to
+        put one there.
+        """
         found = await self._database.read(store.many, [job.id])
         state = found[0].state if found else "expired"
-        if state not in {"queued", "running"}:
-            await asyncio.to_thread(self._files.remove_input, job.id)
+        if state in ACTIVE:
+            return
+        await asyncio.to_thread(self._files.remove_input, job.id)
         if state != "succeeded":
             await asyncio.to_thread(self._files.remove_result, job.id)
 

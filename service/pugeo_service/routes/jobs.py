@@ -40,7 +40,8 @@ _RESULT: dict[int | str, dict[str, Any]] = {
     },
     206: {"description": "The part of it that Range asks for."},
     304: {"description": "The client has it: If-None-Match names its ETag."},
-    **problem_responses(404, 409, 410, 416, 422, 503),
+    # Those of a job that failed are what /upsample would have answered.
+    **problem_responses(400, 404, 409, 410, 413, 415, 416, 422, 500, 503, 504),
 }
 
 
@@ -118,7 +119,7 @@ async def get_job(
     responses={
         200: {
             "description": "Events `state`, `progress` and, last of all, `end`.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}}},
+            "content": {"text/event-stream": {}},
         },
         **problem_responses(401, 404, 503),
     },

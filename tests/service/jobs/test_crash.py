@@ -63,14 +63,13 @@ def test_the_jobs_of_the_dead_are_taken_over(open_house: Any) -> None:
     asyncio.run(whole())
 
 
-def test_a_job_that_ends_the_service(open_house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_that_ends_the_service(open_house: Any) -> None:
     """It is begun so often and no more, then fails and says why; others are done."""
-    monkeypatch.setattr("pugeo_service.jobs.keeper.MOST_ATTEMPTS", 3)
 
     async def whole() -> None:
         ids: dict[bytes, str] = {}
         for attempt in range(3):
-            async with open_house(jobs_running=1) as house:
+            async with open_house(jobs_running=1, jobs_attempts=3) as house:
                 house.engine.hold.clear()
                 if not ids:
                     ids = {name: (await house.submit(name))["id"] for name in (b"bad", b"good")}
@@ -79,14 +78,14 @@ def test_a_job_that_ends_the_service(open_house: Any, monkeypatch: pytest.Monkey
                 # The end comes without a word to the database.
                 house.jobs._presence.leave()
                 house.jobs._runner._settle = forget
-        async with open_house(jobs_running=1) as house:
+        async with open_house(jobs_running=1, jobs_attempts=3) as house:
             failed = await house.until(ids[b"bad"], "failed")
             problem = failed["problem"]
             assert (problem["status"], problem["code"]) == (422, "job_crashed")
             assert (problem["attempts"], problem["retryable"]) == (3, False)
             await house.until(ids[b"good"], "succeeded")
             assert house.engine.began == [b"good"]
-            assert house.names("inputs") == []
+            await house.eventually(lambda: house.names("inputs") == [])
 
     class Forget:
         hurry = True

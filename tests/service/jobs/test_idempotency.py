@@ -21,7 +21,7 @@ def test_the_same_again(play: Any) -> None:
         assert (late.status_code, late.json()["id"]) == (200, job["id"])
         assert late.headers["location"] == f"/jobs/{job['id']}"
         assert house.engine.began == [b"cloud"]
-        assert house.names("inputs") == []
+        await house.eventually(lambda: house.names("inputs") == [])
 
     play(scenario)
 

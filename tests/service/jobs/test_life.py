@@ -29,7 +29,8 @@ def test_a_job_from_beginning_to_end(play: Any) -> None:
         result = await house.http.get(f"/jobs/{job['id']}/result")
         assert result.content == b"dense cloudcloud"
         assert result.headers["content-type"].startswith("text/plain")
-        assert house.names("inputs") == house.names("parts") == []
+        await house.eventually(lambda: house.names("inputs") == [])
+        assert house.names("parts") == []
         assert house.names("results") == [job["id"]]
 
     play(scenario)

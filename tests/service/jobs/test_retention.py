@@ -80,7 +80,7 @@ def test_the_bytes_of_jobs_are_bounded(play: Any) -> None:
         refused = await house.http.post("/jobs", content=b"x" * 40)
         assert (refused.status_code, refused.json()["code"]) == (503, "jobs_full")
         assert refused.json()["bytes"] == 86
-        assert house.names("inputs") == house.names("parts") == []
+        await house.eventually(lambda: house.names("inputs") == house.names("parts") == [])
         await house.http.delete(f"/jobs/{job['id']}")
         await house.submit(b"x" * 40)
 

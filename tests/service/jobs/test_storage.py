@@ -60,7 +60,6 @@ def test_a_disk_that_fails_otherwise(play: Any, monkeypatch: pytest.MonkeyPatch)
 def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job is begun again later; if there is never room, it fails and says so."""
     monkeypatch.setattr("pugeo_service.jobs.settle._STORAGE_BACK_S", 0.05)
-    monkeypatch.setattr("pugeo_service.jobs.settle.MOST_ATTEMPTS", 2)
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -73,7 +72,7 @@ def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> Non
         assert (failed["attempts"], failed["problem"]["code"]) == (2, "storage_full")
         assert house.names("results") == house.names("parts") == []
 
-    play(scenario)
+    play(scenario, jobs_attempts=2)
 
 
 @pytest.fixture
