@@ -131,6 +131,7 @@ class Hold:
     def __init__(self, admission: Admission, owner: str) -> None:
         self._admission = admission
         self._owner = owner
+        self._over = False
         self.mine = Totals()
 
     def __enter__(self) -> Self:
@@ -142,6 +143,7 @@ class Hold:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._over = True
         admission, was_in = self._admission, self.mine.requests
         self._take(Totals(-self.mine.patches, -self.mine.bytes, -self.mine.requests))
         admission.entered.discard(self)
@@ -182,11 +184,15 @@ class Hold:
 
     def resize(self, patches: int) -> None:
         """Replace the estimate by what is known now to remain."""
+        # The engine's thread may have counted them just before it learned of the end.
+        if self._over:
+            return
         self._take(Totals(patches=patches - self.mine.patches))
 
     def finish(self, patches: int) -> None:
         """Count ``patches`` as done."""
-        self._take(Totals(patches=-min(patches, self.mine.patches)))
+        if not self._over:
+            self._take(Totals(patches=-min(patches, self.mine.patches)))
         self._admission.rate.add(patches)
 
     def check_share(self, more: Totals) -> None:

@@ -83,9 +83,13 @@ class _Exchange:
         ):
             try:
                 await self._app(scope, receive, observed)
-            except (ClientGone, OSError):
+            except ClientGone:
                 self._status = 499
-            except Exception:
+            except Exception as error:
+                if self._status and isinstance(error, OSError):
+                    # Most likely the client, which hung up in the middle.
+                    self._status = 499
+                    return
                 _log.exception("unexpected error")
                 if self._status:
                     # Too late for a problem: only a broken connection tells the client.

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
 
-import orjson
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
@@ -20,6 +19,7 @@ from pugeo_model.errors import (
     UnsupportedFormat,
     UntreatableCloud,
 )
+from pugeo_service.plain import plain_json
 
 __all__ = [
     "MEDIA_TYPE",
@@ -139,8 +139,9 @@ class Problem(Exception):
     def response(self, scope: Mapping[str, Any]) -> Response:
         """Build the answer for the request of an ASGI ``scope``."""
         members = self.members(scope.get("path", ""), scope.get("state", {}).get("request_id", ""))
-        body = orjson.dumps(members, default=str, option=orjson.OPT_SERIALIZE_NUMPY)
-        return Response(body, self.status, headers=self.headers, media_type=MEDIA_TYPE)
+        return Response(
+            plain_json(members), self.status, headers=self.headers, media_type=MEDIA_TYPE
+        )
 
 
 def bug() -> Problem:

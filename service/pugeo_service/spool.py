@@ -45,13 +45,14 @@ class Sink(ABC):
         self._pending += data
         # One thread hop for each MiB and not for each 64 KiB that the network delivers.
         if len(self._pending) >= _IN_MEMORY:
-            await self._flush()
+            await self.flush()
 
     def close(self) -> None:
         """Give back what is held; twice is once."""
         self._pending = bytearray()
 
-    async def _flush(self) -> None:
+    async def flush(self) -> None:
+        """Put what is held back where it belongs."""
         if self._pending:
             data, self._pending = self._pending, bytearray()
             await asyncio.to_thread(self._store, data)
@@ -74,12 +75,12 @@ class Spool(Sink):
 
     async def read(self) -> NDArray[np.uint8]:
         """Return all bytes, uint8 ``(size,)``, as one buffer in memory."""
-        await self._flush()
+        await self.flush()
         return await asyncio.to_thread(self._read_all)
 
     async def chunks(self, size: int = _IN_MEMORY) -> AsyncIterator[bytes]:
         """Yield all bytes in order, ``size`` at a time."""
-        await self._flush()
+        await self.flush()
         await asyncio.to_thread(self._file.seek, 0)
         while data := await asyncio.to_thread(self._file.read, size):
             yield data

@@ -9,11 +9,21 @@ import structlog
 
 from pugeo_service.problems import Problem
 
-__all__ = ["storage_problems"]
+__all__ = ["storage_problem", "storage_problems"]
 
 _log = structlog.stdlib.get_logger("pugeo.storage")
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _RETRY_S = 30.0
+
+
+def storage_problem(error: OSError) -> Problem:
+    """Return what a client is told of an error of the disk; the log gets its cause."""
+    _log.error("the disk fails", reason=str(error))
+    if error.errno in _FULL:
+        detail = "The service's disk is full; there may be room again later."
+        return Problem(503, "storage_full", detail, retry_after=_RETRY_S)
+    detail = "The service cannot use its disk at the moment."
+    return Problem(503, "storage_failed", detail, retry_after=_RETRY_S)
 
 
 @contextmanager
@@ -26,9 +36,4 @@ def storage_problems() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        _log.error("the disk fails", reason=str(error))
-        if error.errno in _FULL:
-            detail = "The service's disk is full; there may be room again later."
-            raise Problem(503, "storage_full", detail, retry_after=_RETRY_S) from error
-        detail = "The service cannot write to its disk at the moment."
-        raise Problem(503, "storage_failed", detail, retry_after=_RETRY_S) from error
+        raise storage_problem(error) from error

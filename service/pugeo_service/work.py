@@ -7,10 +7,11 @@ from typing import Any
 
 import structlog
 
-from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
+from pugeo_service.engine import DiskFailed, EngineLost, Order, Outcome, WorkerLost
 from pugeo_service.negotiation import DEFAULT, OFFERS, Offer, choose
 from pugeo_service.problems import Problem
 from pugeo_service.settings import Settings
+from pugeo_service.storage import storage_problem
 from pugeo_service.telemetry import Telemetry
 
 __all__ = ["count_run", "engine_problems", "make_order", "offer_of"]
@@ -58,7 +59,7 @@ def engine_problems() -> Iterator[None]:
 
     Raises:
         Problem: 422 ``worker_lost`` or ``out_of_memory``: the cloud is too much for a worker;
-            503 ``engine_lost``: the workers cannot be reached.
+            503 ``engine_lost``: the workers cannot be reached; 503 as `storage_problem`.
     """
     try:
         yield
@@ -73,6 +74,8 @@ def engine_problems() -> Iterator[None]:
         _log.error("the engine is gone", reason=str(error))
         detail = "The workers cannot be reached at the moment."
         raise Problem(503, "engine_lost", detail, retry_after=5) from error
+    except DiskFailed as error:
+        raise storage_problem(error.error) from error
     except MemoryError as error:
         detail = "This cloud needs more memory than a worker has; send a smaller one or lower R."
         raise Problem(422, "out_of_memory", detail, retryable=False) from error

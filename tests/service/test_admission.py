@@ -323,3 +323,13 @@ def test_the_pace_follows_the_present() -> None:
     for _ in range(1000):
         pace.add(0.1, 1)
     assert pace.least_seconds(5, 2) == pytest.approx(0.25, rel=0.01)
+
+
+def test_news_after_the_end_changes_nothing() -> None:
+    """A count that another thread sends as the request ends would stay for good."""
+    admission = Admission(max_patches=10, max_bytes=100, max_requests=2)
+    with admission.hold("somebody") as hold:
+        hold.enter(4)
+    hold.resize(7)
+    hold.finish(3)
+    assert (admission.patches, dict(admission.owners)) == (0, {})

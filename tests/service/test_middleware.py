@@ -172,3 +172,26 @@ def test_readings_are_taken_when_asked_for() -> None:
     assert counted(telemetry, "pugeo_workers") == {("warm",): 4.0, ("missing",): 5.0}
     assert counted(telemetry, "pugeo_worker_restarts_total") == {("lost",): 6.0}
     assert counted(telemetry, "pugeo_patch_retries_total") == {(): 7.0}
+
+
+def test_an_error_of_the_disk_is_a_problem() -> None:
+    """Whoever is still there gets an answer; OSError is not only what clients that left cause."""
+
+    async def fail_to_read(_scope: Scope, _receive: Receive, _send: Send) -> None:
+        raise PermissionError("secret")
+
+    start, body = exchange(fail_to_read, make_telemetry(), "abc")
+    assert (start["status"], orjson.loads(body["body"])["code"]) == (500, "internal_error")
+    assert b"secret" not in body["body"]
+
+
+def test_a_connection_that_breaks_in_the_middle_is_499() -> None:
+    """What sending raises once the client hung up is no error of the service."""
+
+    async def break_off(_scope: Scope, _receive: Receive, send: Send) -> None:
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        raise ConnectionResetError
+
+    telemetry = make_telemetry()
+    assert len(exchange(break_off, telemetry)) == 1
+    assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every error becomes RFC 9457, whoever raises it."""
 
+import json
 from typing import Any
 
+import numpy as np
 import orjson
 import pytest
 from fastapi import FastAPI
@@ -131,3 +133,12 @@ def test_an_internal_error_says_nothing() -> None:
         "internal_error",
         "abc",
     )
+
+
+def test_numbers_of_any_kind() -> None:
+    """A client may send numbers that no machine word holds; quoting them is no error of ours."""
+    fields = {"value": 10**300, "limit": np.int64(7), "mean": float("nan"), "at": np.zeros(2)}
+    response = Problem(422, "bad_option", "No.", fields=fields).response(SCOPE)
+    found = json.loads(bytes(response.body))
+    assert found["value"] == 10**300
+    assert (found["limit"], found["mean"], found["at"]) == (7, None, [0.0, 0.0])

@@ -17,9 +17,9 @@ _CROWD = 20  # longest neighbour list among candidates, denser than the survivor
 _SETTLED = 14  # among survivors
 _CHANCE = 1e-3  # largest burden that the seed draws
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
-_USUAL = 2.0  # times the error usual around it that a candidate may be off without burden
+_USUAL = 2.25  # times the error usual around it that a candidate may be off without burden
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
-_ROUNDS = 2
+_ROUNDS = 5
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:

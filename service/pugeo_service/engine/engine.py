@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from pugeo_service.engine.dask_pool import DaskPool
-from pugeo_service.engine.errors import EngineLost, WorkerLost
+from pugeo_service.engine.errors import EngineLost, WorkerLost, disk
 from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.order import Order, Outcome, Readable, Watcher
 from pugeo_service.engine.pool import Pool
@@ -109,6 +109,7 @@ class Engine:
             CloudError: the input cannot be used.
             WorkerLost: it ended worker processes, even when run alone.
             EngineLost: the scheduler is gone.
+            DiskFailed: the body cannot be read, or there is no room for the answer.
         """
         here = asyncio.get_running_loop()
         watcher = Watcher(
@@ -135,7 +136,9 @@ class Engine:
 
         async def attempt() -> Outcome:
             flow = Flow(self._pool, order, self._long, counting, self._settings.spool_dir)
-            return await flow.run(await body.read())
+            with disk():
+                data = await body.read()
+            return await flow.run(data)
 
         try:
             return await attempt()

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can go wrong in the engine that is no fault of the points themselves."""
 
-__all__ = ["EngineLost", "WorkerLost"]
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+__all__ = ["DiskFailed", "EngineLost", "WorkerLost", "disk"]
 
 
 class WorkerLost(Exception):
@@ -10,3 +13,28 @@ class WorkerLost(Exception):
 
 class EngineLost(Exception):
     """The scheduler or all results on it are gone."""
+
+
+class DiskFailed(Exception):
+    """The disk of the front does not take or give the bytes of a body or an answer.
+
+    Attributes:
+        error: what it said.
+    """
+
+    def __init__(self, error: OSError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+@contextmanager
+def disk() -> Iterator[None]:
+    """Tell errors of the disk within the block from those of connections, which look alike.
+
+    Raises:
+        DiskFailed: an ``OSError`` was raised within.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise DiskFailed(error) from error

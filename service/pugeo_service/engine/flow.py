@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_service.engine.errors import disk
 from pugeo_service.engine.order import Head, Order, Outcome, Sheet, Watcher
 from pugeo_service.engine.pool import Pool, Stage
 from pugeo_service.spool import Spool
@@ -66,6 +67,7 @@ class Flow:
         Raises:
             CloudError: the input cannot be used.
             WorkerLost, EngineLost: see the pool.
+            DiskFailed: there is no room for the answer.
         """
         try:
             return await self._run(body)
@@ -204,13 +206,20 @@ class Flow:
 
     async def _collect(self, written: Any, sheet: Sheet) -> Spool:
         """Bring the answer here, a chunk at a time, so that no worker waits for a slow client."""
-        spool = Spool(self._spool_dir)
+        with disk():
+            spool = Spool(self._spool_dir)
         try:
-            await spool.write(sheet.first)
+            with disk():
+                await spool.write(sheet.first)
             for index in range(1, sheet.chunks):
                 handle = self._submit("chunk", written, index, priority=self._soon)
-                await spool.write(await self._pool.fetch(handle))
+                data = await self._pool.fetch(handle)
+                with disk():
+                    await spool.write(data)
                 self._drop([handle])
+            with disk():
+                # A disk without room must show before the answer begins.
+                await spool.flush()
         except BaseException:
             spool.close()
             raise

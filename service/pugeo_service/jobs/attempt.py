@@ -68,22 +68,22 @@ class Attempt:
             Problem: 422 for what the workers cannot do, 503 where they or the disk fail, 504
                 where the time of a job is over.
         """
-        with self._admission.hold() as hold:
-            await self._enter(hold)
+        with await self._admitted() as hold:
             outcome = await self._upsampled(hold)
             with outcome.spool:
                 return await self._kept(outcome)
 
-    async def _enter(self, hold: Hold) -> None:
+    async def _admitted(self) -> Hold:
         """Wait until the patches of all jobs that run leave room for these."""
         patches = Order.estimate(self._job.input_bytes)
         while True:
             try:
+                hold = self._admission.hold()
                 hold.enter(patches)
             except Problem:
                 await asyncio.sleep(_ROOM_S)
             else:
-                return
+                return hold
 
     async def _upsampled(self, hold: Hold) -> Outcome:
         job, settings = self._job, self._settings

@@ -9,10 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import structlog
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from pugeo_service.jobs.schema import metadata
+from pugeo_service.plain import plain_json
 from pugeo_service.problems import Problem
 
 __all__ = ["Database", "unavailable"]
@@ -24,6 +25,9 @@ Work = Callable[Concatenate[Connection, P], T]
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _BUSY_S = 5.0
 _THREADS = 4
+# A database that says nothing for so long has failed; else all threads would wait for it.
+_SILENCE_S = 15
+_MAKING = 0x70756767  # any number that nobody else locks in this database
 
 
 def unavailable(reason: str) -> Problem:
@@ -93,7 +97,8 @@ class Database:
             if self._engine is None:
                 engine = _engine(self._url)
                 try:
-                    metadata.create_all(engine)
+                    with engine.begin() as connection:
+                        _make_table(connection)
                 except BaseException:
                     engine.dispose()
                     raise
@@ -107,13 +112,23 @@ def _bound(
     return work(connection, *args, **kwargs)
 
 
+def _make_table(connection: Connection) -> None:
+    if connection.dialect.name == "postgresql":
+        # Of two services that find no table and make one, the second would fail.
+        connection.execute(select(func.pg_advisory_xact_lock(_MAKING)))
+    metadata.create_all(connection)
+
+
 def _engine(text: str) -> Engine:
     url = make_url(text)
+    # A report or an error must never be what a job cannot be ended with.
+    options: dict[str, Any] = {"json_serializer": lambda value: plain_json(value).decode()}
     if url.get_backend_name() == "postgresql":
         if url.drivername == "postgresql":
             url = url.set(drivername="postgresql+pg8000")
-        return create_engine(url, pool_pre_ping=True, pool_size=_THREADS, max_overflow=0)
-    engine = create_engine(url, pool_size=_THREADS, max_overflow=0)
+        options["connect_args"] = {"timeout": _SILENCE_S}
+        return create_engine(url, pool_pre_ping=True, pool_size=_THREADS, max_overflow=0, **options)
+    engine = create_engine(url, pool_size=_THREADS, max_overflow=0, **options)
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine

@@ -56,7 +56,7 @@ class NewFile(Sink):
         Raises:
             OSError: the disk is full or fails; `close` removes what was written.
         """
-        await self._flush()
+        await self.flush()
         await asyncio.to_thread(self._publish)
 
     def close(self) -> None:

@@ -147,11 +147,10 @@ def put_back(connection: Connection, runner: str, known: Iterable[str], before: 
 def expire(connection: Connection, now: float) -> list[str]:
     """Mark results whose time is over; return the ids of their jobs."""
     over = (jobs.c.state == "succeeded", jobs.c.expires_at <= now)
-    ids = list(connection.execute(select(jobs.c.id).where(*over)).scalars())
     change = {"state": "expired", "revision": jobs.c.revision + 1}
-    if ids:
-        connection.execute(update(jobs).where(jobs.c.id.in_(ids), *over).values(**change))
-    return ids
+    # Not by their ids: there may be more of them than a statement may have parameters.
+    query = update(jobs).where(*over).values(**change).returning(jobs.c.id)
+    return list(connection.execute(query).scalars())
 
 
 def prune(connection: Connection, before: float) -> int:

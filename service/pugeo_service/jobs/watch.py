@@ -89,7 +89,8 @@ class Watch:
                 continue
             for job_id in ids:
                 for queue in self._watchers.get(job_id, ()):
-                    _put(queue, found.get(job_id))
+                    # Asked before the end, answered after it: the end stands.
+                    _put(queue, None if self._closed else found.get(job_id))
 
 
 def _put(queue: "asyncio.Queue[Job | None]", value: Job | None) -> None:

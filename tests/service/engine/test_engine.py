@@ -3,6 +3,7 @@
 
 import asyncio
 import dataclasses
+import errno
 import io
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -14,7 +15,15 @@ from numpy.typing import NDArray
 
 from pugeo_model import Cloud, formats
 from pugeo_model.errors import MalformedFile
-from pugeo_service.engine import Engine, EngineLost, Order, Outcome, WorkerLost, dask_pool
+from pugeo_service.engine import (
+    DiskFailed,
+    Engine,
+    EngineLost,
+    Order,
+    Outcome,
+    WorkerLost,
+    dask_pool,
+)
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
 from pugeo_service.spool import Spool
@@ -150,3 +159,20 @@ def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
         await engine.stop()
 
     asyncio.run(scenario())
+
+
+def test_a_body_that_cannot_be_read(tmp_path: Path) -> None:
+    """The disk's failure is told as what it is, and the next order is served."""
+
+    class Unreadable:
+        async def read(self) -> NDArray[np.uint8]:
+            raise OSError(errno.EIO, "gone")
+
+    async def scenario(engine: Engine) -> None:
+        with pytest.raises(DiskFailed) as caught:
+            await engine.run(Unreadable(), ORDER, on_patches=print, on_done=print)
+        assert caught.value.error.errno == errno.EIO
+        outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)
+        outcome.spool.close()
+
+    play(Settings(engine="inline", workers=1, spool_dir=tmp_path), scenario)

@@ -2,6 +2,7 @@
 """How a request is spread: few tasks at a time, small first, nobody starved, nothing left over."""
 
 import asyncio
+import errno
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from pugeo_service.engine import flow as module
+from pugeo_service.engine.errors import DiskFailed
 from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.order import Head, Outcome, Sheet, Watcher
 from pugeo_service.engine.sample import sample_order
+from pugeo_service.spool import Spool
 
 ORDER = replace(sample_order("standard", deadline_s=60.0), batch_patches=2)
 
@@ -189,3 +192,17 @@ def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
     assert pool.running == 0
     assert not [handle for handle in pool.handles if handle.live]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No room for the answer, however small its last piece, shows before the answer begins."""
+
+    def store(_spool: Spool, _data: bytearray) -> None:
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(Spool, "_store", store)
+    pool = Recorder(3)
+    with pytest.raises(DiskFailed) as caught:
+        run(pool, tmp_path)
+    assert caught.value.error.errno == errno.ENOSPC
+    assert not any(handle.live for handle in pool.handles)

@@ -145,7 +145,7 @@ def test_the_files_of_the_living_are_not_swept(open_house: Any) -> None:
         async with open_house() as one:
             part = one.jobs.files.new_input("underway")
             await part.write(b"half")
-            await part._flush()
+            await part.flush()
             (one.folder / "inputs" / "fresh").write_bytes(b"whole")
             async with open_house() as other:
                 assert other.names("inputs") == ["fresh"]

@@ -112,6 +112,32 @@ def test_a_drain_ends_streams(play: Any) -> None:
     play(scenario)
 
 
+def test_the_end_of_watching_stands() -> None:
+    """An answer of the database that comes after the end does not replace it."""
+
+    async def scenario() -> Job | None:
+        asked, answered = asyncio.Event(), asyncio.Event()
+
+        async def fetch(_: list[str]) -> list[Job]:
+            asked.set()
+            await answered.wait()
+            return [JOB]
+
+        watch = Watch(fetch)
+        looking = asyncio.create_task(watch.run())
+        with watch.following(JOB.id) as changes:
+            await asked.wait()
+            watch.close()
+            answered.set()
+            await asyncio.sleep(0.05)
+            latest = changes.get_nowait()
+        looking.cancel()
+        await asyncio.gather(looking, return_exceptions=True)
+        return latest
+
+    assert asyncio.run(scenario()) is None
+
+
 def test_cancelling_ends_the_stream(play: Any) -> None:
     """The last event tells that the job was cancelled."""
 

@@ -5,7 +5,10 @@ import asyncio
 import hashlib
 from typing import Any
 
+import numpy as np
 import pytest
+
+from pugeo_model.errors import MalformedFile
 
 
 def test_a_job_from_beginning_to_end(play: Any) -> None:
@@ -135,6 +138,42 @@ def test_jobs_keep_no_request_out(play: Any) -> None:
             await house.until(job_id, "succeeded")
 
     play(scenario, jobs_running=2, queue_patches=4, queue_requests=1)
+
+
+def test_a_job_waits_for_the_patches_of_another(play: Any) -> None:
+    """One that leaves no room keeps the next waiting, and does not make it fail."""
+
+    async def scenario(house: Any) -> None:
+        house.engine.hold.clear()
+        first = await house.submit(b"first")
+        await house.eventually(lambda: house.jobs.admission.patches >= 3)
+        second = await house.submit(b"second")
+        assert (await house.until(second["id"], "running", "failed"))["state"] == "running"
+        await asyncio.sleep(0.1)
+        assert house.engine.began == [b"first"]
+        house.engine.hold.set()
+        for job in (first, second):
+            await house.until(job["id"], "succeeded")
+
+    play(scenario, jobs_running=2, queue_patches=3)
+
+
+def test_an_error_with_strange_numbers(play: Any) -> None:
+    """Those of numpy, those that are none and those of many digits end a job as any others."""
+
+    async def scenario(house: Any) -> None:
+        def go_wrong(_: bytes) -> None:
+            raise MalformedFile("broken", value=10**30, limit=np.int64(3), mean=float("nan"))
+
+        house.engine._go_wrong = go_wrong
+        job = await house.submit()
+        failed = await house.until(job["id"], "failed")
+        answer = await house.http.get(f"/jobs/{job['id']}/result")
+        assert answer.status_code == 400
+        for problem in (failed["problem"], answer.json()):
+            assert (problem["value"], problem["limit"], problem["mean"]) == (10**30, 3, None)
+
+    play(scenario)
 
 
 def test_a_job_has_a_deadline(play: Any) -> None:

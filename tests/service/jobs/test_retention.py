@@ -2,9 +2,16 @@
 """How long things are kept, and how many."""
 
 import asyncio
+import dataclasses
+import sqlite3
 from typing import Any
 
 import pytest
+from sqlalchemy import create_engine
+
+from pugeo_service.jobs import queue, store
+from pugeo_service.jobs.record import Job
+from pugeo_service.jobs.schema import metadata
 
 
 def test_results_expire(play: Any) -> None:
@@ -98,3 +105,24 @@ def test_many_at_once_keep_to_the_bound(play: Any) -> None:
         assert len(house.names("inputs")) == 3
 
     play(scenario, jobs_queue=3)
+
+
+def test_more_expire_than_a_statement_has_parameters() -> None:
+    """However many results are over at once, after a long stop say, all of them expire."""
+    engine = create_engine("sqlite://")
+    metadata.create_all(engine)
+    job = Job(
+        id="", owner="", state="succeeded", revision=1, idempotency_key=None, request_digest="",
+        request_id="", options={}, format=None, answer="ply", input_bytes=1, input_sha256="",
+        created_at=0.0, expires_at=1.0,
+    )  # fmt: skip
+    ids = [f"{number:032x}" for number in range(20)]
+    with engine.begin() as connection:
+        for name in ids:
+            store.add(connection, dataclasses.replace(job, id=name), 1000, 1000)
+        driver: Any = connection.connection.driver_connection
+        driver.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 19)
+        assert sorted(queue.expire(connection, 2.0)) == ids
+        assert queue.expire(connection, 2.0) == []
+        assert {found.state for found in store.page(connection, "", None, None, 99)} == {"expired"}
+    engine.dispose()

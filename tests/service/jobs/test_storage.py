@@ -4,15 +4,22 @@
 import asyncio
 import errno
 import os
+import socket
 import sqlite3
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from pugeo_service.engine import DiskFailed
+from pugeo_service.jobs import store
+from pugeo_service.jobs.database import Database
 
 
 def fail(number: int) -> Any:
@@ -73,6 +80,28 @@ def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> Non
         assert house.names("results") == house.names("parts") == []
 
     play(scenario, jobs_attempts=2)
+
+
+def test_a_disk_that_fails_the_engine(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the engine finds it full, a job is begun again and a request gets a 503."""
+    monkeypatch.setattr("pugeo_service.jobs.settle._STORAGE_BACK_S", 0.05)
+
+    async def scenario(house: Any) -> None:
+        full = [True, True]
+
+        def go_wrong(_: bytes) -> None:
+            if full:
+                full.pop()
+                raise DiskFailed(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+
+        house.engine._go_wrong = go_wrong
+        answer = await house.http.post("/upsample", content=b"x")
+        assert (answer.status_code, answer.json()["code"]) == (503, "storage_full")
+        assert "retry-after" in answer.headers
+        job = await house.submit()
+        assert (await house.until(job["id"], "succeeded", "failed"))["attempts"] == 2
+
+    play(scenario)
 
 
 @pytest.fixture
@@ -191,6 +220,38 @@ def test_a_database_that_fails_at_the_end_of_a_job(play: Any, locked: sqlite3.Co
         assert house.engine.began == [b"cloud"]
 
     play(scenario)
+
+
+def test_a_database_that_says_nothing(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that takes connections and never answers keeps neither the start nor the end waiting."""
+    pytest.importorskip("pg8000")
+    monkeypatch.setattr("pugeo_service.jobs.database._SILENCE_S", 0.2)
+
+    async def scenario(house: Any) -> None:
+        refused = await house.http.get("/jobs")
+        assert (refused.status_code, refused.json()["code"]) == (503, "jobs_unavailable")
+        assert (await house.http.post("/upsample", content=b"x")).status_code == 200
+
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"postgresql://pugeo:secret@127.0.0.1:{silent.getsockname()[1]}/jobs"
+        play(scenario, database_url=url)
+
+
+@pytest.mark.postgres
+def test_services_that_make_the_table_at_once(postgres: Any) -> None:
+    """Of several that find an empty database none fails."""
+    url, together = postgres(), threading.Barrier(4)
+
+    def use() -> int:
+        database = Database(url)
+        together.wait()
+        try:
+            return asyncio.run(database.read(store.usage)).queued
+        finally:
+            database.close()
+
+    with ThreadPoolExecutor(4) as threads:
+        assert [each.result() for each in [threads.submit(use) for _ in range(4)]] == [0] * 4
 
 
 def test_sync_requests_on_a_full_disk(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
