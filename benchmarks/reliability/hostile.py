@@ -19,7 +19,9 @@ Address = tuple[str, int]
 Mischief = Callable[[Address, random.Random], Awaitable[tuple[int, ...]]]
 
 _STATUS = re.compile(rb"HTTP/1\.[01] (\d{3}) ")
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
+# Between two pieces of what never ends: who attacks shares the processor with who is attacked.
+_PAUSE_S = 0.005
 _POST = b"POST /upsample HTTP/1.1\r\nHost: x\r\n"
 _GET = b"GET /health/live HTTP/1.1\r\nHost: x\r\n"
 _WHOLE = _GET + b"\r\n"
@@ -79,7 +81,7 @@ async def leave_amid_body(address: Address, rng: random.Random) -> tuple[int, ..
 
 async def endless_chunks(address: Address, rng: random.Random) -> tuple[int, ...]:
     """A chunked body that goes on until somebody minds."""
-    size = rng.choice((1024, 65_536))
+    size = rng.choice((4096, 65_536))
     chunk = b"%x\r\n" % size + bytes(size) + b"\r\n"
     async with _connected(address) as (reader, writer):
         writer.write(_POST + b"Transfer-Encoding: chunked\r\n\r\n")
@@ -88,6 +90,7 @@ async def endless_chunks(address: Address, rng: random.Random) -> tuple[int, ...
             for _ in range(1 << 20):
                 writer.write(chunk)
                 await writer.drain()
+                await asyncio.sleep(_PAUSE_S)
                 if answer.done():
                     break
         return await answer
@@ -111,6 +114,7 @@ async def endless_head(address: Address, rng: random.Random) -> tuple[int, ...]:
             for _ in range(600):
                 writer.write(more)
                 await writer.drain()
+                await asyncio.sleep(_PAUSE_S)
                 if answer.done() or writer.is_closing():
                     break
         return await answer

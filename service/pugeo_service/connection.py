@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A connection that ends with its client, and does not wait for ever for one that stopped reading.
+"""A connection that ends with its client, and does not bear with one for ever.
 
-Both are gaps of uvicorn's fast parser: of several requests sent at once it forgets the one that
-it is working on, so that answering it after the client left is an error; and it never hangs up on
-a client that asked for something large and leaves it lying.
+These are gaps of uvicorn's fast parser. Of several requests sent at once it forgets the one that
+it is working on, so that answering it after the client left is an error. It never hangs up on a
+client that asked for something large and leaves it lying, nor on one that goes on sending the
+body of a request that was refused.
 """
 
 import asyncio
@@ -18,6 +19,9 @@ __all__ = ["Connection"]
 
 # Seconds in which a client must take at least something of what waits for it.
 DEAF_S = 30.0
+# Seconds in which the rest of a body is thrown away that was refused: most clients look for an
+# answer only when they have sent everything, and a reset would take it away from them.
+LINGER_S = 30.0
 
 
 class Connection(BoundedHeads):
@@ -25,16 +29,30 @@ class Connection(BoundedHeads):
 
     _answering: RequestResponseCycle | None = None
     _patience: asyncio.TimerHandle | None = None
+    _linger: asyncio.TimerHandle | None = None
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell whoever is at work for this client, and drop what it had asked for besides."""
         self._stop_patience()
+        self._stop_linger()
         self.pipeline.clear()
         working = self._answering
         if working is not None and not working.response_complete:
             working.disconnected = True
             working.message_event.set()
         super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """See that a body which nobody reads comes to an end."""
+        answered = self._answering
+        super().on_response_complete()
+        if answered is not None and answered.more_body:
+            self._linger = self.loop.call_later(LINGER_S, self.transport.abort)
+
+    def on_message_complete(self) -> None:
+        """It did."""
+        self._stop_linger()
+        super().on_message_complete()
 
     def pause_writing(self) -> None:
         """The client reads slower than we write: see that it reads at all."""
@@ -61,6 +79,11 @@ class Connection(BoundedHeads):
         else:
             # Closing would wait for the buffer to drain, which is what never happens.
             self.transport.abort()
+
+    def _stop_linger(self) -> None:
+        if self._linger is not None:
+            self._linger.cancel()
+            self._linger = None
 
     def _stop_patience(self) -> None:
         if self._patience is not None:

@@ -2,6 +2,7 @@
 """Clients that leave or stop reading, on real sockets."""
 
 import asyncio
+import contextlib
 import socket
 import struct
 import threading
@@ -46,6 +47,16 @@ class Large:
             self.ended.append(error)
             raise
         self.ended.append(None)
+
+
+class Refusal(Large):
+    """An application that answers before it has read anything."""
+
+    async def __call__(self, scope: Any, _receive: Any, send: Any) -> None:
+        if scope["type"] == "http":
+            headers = [(b"content-length", b"0")]
+            await send({"type": "http.response.start", "status": 413, "headers": headers})
+            await send({"type": "http.response.body", "body": b""})
 
 
 @contextmanager
@@ -100,6 +111,28 @@ def test_a_client_that_reads_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
             time.sleep(0.01)
     assert time.monotonic() - began > 0.4
     assert app.ended == [None]
+
+
+@pytest.mark.parametrize("patient", [False, True])
+def test_a_body_that_nobody_reads(monkeypatch: pytest.MonkeyPatch, patient: bool) -> None:
+    """After an early answer the rest is thrown away for a while, and no longer than that."""
+    monkeypatch.setattr(connection, "LINGER_S", 20.0 if patient else 0.2)
+    head = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 3000\r\n\r\n"
+    with serving(Refusal()) as address, socket.create_connection(address) as client:
+        client.settimeout(20)
+        client.sendall(head)
+        assert client.recv(1000).startswith(b"HTTP/1.1 413 ")
+        with contextlib.ExitStack() as ends:
+            if not patient:
+                ends.enter_context(pytest.raises((ConnectionResetError, BrokenPipeError)))
+            for _ in range(30):
+                client.sendall(bytes(100))
+                time.sleep(0.02)
+            # The connection is as good as before.
+            client.sendall(head)
+            if not client.recv(1000):
+                raise ConnectionResetError
+            assert patient
 
 
 def test_requests_in_one_breath_of_a_client_that_leaves() -> None:
