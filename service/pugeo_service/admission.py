@@ -3,13 +3,9 @@
 
 Patches are the unit because a request of a million points costs a thousand times one of a
 thousand points; a bound on requests alone would bound neither time nor memory.
-
-An owner (the name of an API key) may hold as much as is still free. One alone comes to half of
-the queue, two to a third each, n to a part in n + 1: whoever comes next always finds room, and
-no share has to be configured. Switches share their buffers by the same rule (dynamic
-thresholds).
 """
 
+import functools
 from collections import defaultdict
 from dataclasses import dataclass
 from types import TracebackType
@@ -17,6 +13,7 @@ from typing import Self
 
 from pugeo_service.drain import DrainRate, Pace
 from pugeo_service.problems import Problem
+from pugeo_service.shares import check_share
 
 __all__ = ["Admission", "Hold"]
 
@@ -206,12 +203,17 @@ class Hold:
         if not self._owner:
             return
         free = self._admission.free()
+        held = self._admission.owners.get(self._owner, Totals())
         for unit in ("patches", "bytes", "requests"):
-            wanted = getattr(more, unit)
-            held = getattr(self._admission.owners.get(self._owner, Totals()), unit)
-            elsewhere = held - getattr(self.mine, unit)
-            if wanted and elsewhere and held + wanted > getattr(free, unit):
-                raise self._too_much(unit, held, wanted, getattr(free, unit))
+            check_share(
+                unit,
+                "the queue",
+                held=getattr(held, unit),
+                elsewhere=getattr(held, unit) - getattr(self.mine, unit),
+                wanted=getattr(more, unit),
+                free=getattr(free, unit),
+                wait=functools.partial(self._until_returned, unit),
+            )
 
     def check_deadline(self, left: float, workers: int, *, sized: bool) -> None:
         """Refuse at once what cannot be done in time.
@@ -258,21 +260,14 @@ class Hold:
             account.bytes += more.bytes
             account.requests += more.requests
 
-    def _too_much(self, unit: str, held: int, wanted: int, free: int) -> Problem:
+    def _until_returned(self, unit: str, amount: float) -> float:
+        """Guess the seconds until the owner has given back so much."""
         admission = self._admission
         mine, total = admission.owners[self._owner], admission.totals
-        # What is given back is both no longer held and free: half of the gap is enough.
-        gap = (held + wanted - free) / 2
-        patches = gap if unit == "patches" else mine.patches / max(1, mine.requests)
+        patches = amount if unit == "patches" else mine.patches / max(1, mine.requests)
         # The workers are shared with the others' patches.
         wait = admission.rate.seconds(patches * max(1, total.patches) / max(1, mine.patches))
-        detail = (
-            f"This API key holds {held:,} {unit} of the queue and asks for {wanted:,} more, but "
-            f"{free:,} are free and it may hold no more than that. Try again after the time in "
-            "Retry-After."
-        )
-        fields = {"unit": unit, "held": held, "wanted": wanted, "free": free}
-        return Problem(429, "share_exceeded", detail, retry_after=_bounded(wait), fields=fields)
+        return _bounded(wait)
 
 
 def _bounded(seconds: float) -> float:

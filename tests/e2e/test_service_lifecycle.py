@@ -94,9 +94,10 @@ def test_sigterm_while_starting(launch: Any, moment: float) -> None:
 
 def test_full_and_late(launch: Any) -> None:
     """Beyond the queue's capacity 503 with Retry-After; beyond the deadline 504; then goes on."""
-    with launch("--queue-requests", "1", "--deadline-s", "5") as server:
+    options = ("--queue-requests", "1", "--deadline-s", "4", "--workers", "2")
+    with launch(*options) as server:
         server.wait_until_ready()
-        late = begun(server, LARGE)
+        late = begun(server, ball(250_000))  # a million points, which no two workers make in 4 s
         full = httpx2.post(f"{server.url}/upsample", content=SMALL)
         assert (full.status_code, full.json()["code"]) == (503, "queue_full")
         assert 1 <= int(full.headers["retry-after"]) <= 120

@@ -7,7 +7,6 @@ import errno
 import hashlib
 import os
 import stat
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -18,9 +17,6 @@ from numpy.typing import NDArray
 from pugeo_service.spool import Sink
 
 __all__ = ["InputLost", "JobFiles", "NewFile", "StoredInput"]
-
-# A file whose row is not written yet is younger than this.
-_ORPHAN_S = 3600.0
 
 
 class InputLost(Exception):
@@ -171,7 +167,7 @@ class JobFiles:
         self,
         inputs: set[str],
         results: set[str],
-        alone: bool,
+        youngest: float,
         alive: Callable[[str], bool],
     ) -> int:
         """Remove what no job needs; return how many files that were.
@@ -179,10 +175,10 @@ class JobFiles:
         Args:
             inputs: ids whose inputs stay.
             results: ids whose results stay.
-            alone: no other process uses the folder, and this one accepts nothing yet.
+            youngest: inputs and results made after that stay, seconds since 1970. It must lie
+                before the moment at which the ids were read.
             alive: whether the process of a name still runs.
         """
-        youngest = time.time() if alone else time.time() - _ORPHAN_S
         removed = 0
         for folder, kept in ((self._inputs, inputs), (self._results, results)):
             for path in folder.iterdir():

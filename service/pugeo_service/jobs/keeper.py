@@ -21,6 +21,8 @@ __all__ = ["Keeper"]
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _ROUND_S = 2.0
 _SWEEP_S = 600.0
+# A file whose row is not written yet is younger than this.
+_ORPHAN_S = 3600.0
 # A job is still known, and its key still honoured, for so long after its result is gone.
 _REMEMBER_S = 7 * 86400.0
 
@@ -65,7 +67,10 @@ class Keeper:
             OSError: the folder cannot.
         """
         await self._take_over()
-        await self._sweep(alone=await asyncio.to_thread(lambda: self._presence.alone))
+        # First the time: whatever a process that joins meanwhile makes is younger.
+        now = time.time()
+        alone = await asyncio.to_thread(lambda: self._presence.alone)
+        await self._sweep(now if alone else now - _ORPHAN_S)
         self.usage = await self._database.read(store.usage)
 
     async def run(self) -> None:
@@ -80,7 +85,7 @@ class Keeper:
                 if time.monotonic() - swept > _SWEEP_S:
                     swept = time.monotonic()
                     await self._database.write(queue.prune, time.time() - _REMEMBER_S)
-                    await self._sweep(alone=False)
+                    await self._sweep(time.time() - _ORPHAN_S)
                 self.usage = await self._database.read(store.usage)
             except Problem:
                 continue  # the database's own log line says why
@@ -104,10 +109,11 @@ class Keeper:
             await asyncio.to_thread(self._files.remove_result, job_id)
             self._telemetry.jobs.labels("expired").inc()
 
-    async def _sweep(self, *, alone: bool) -> None:
+    async def _sweep(self, youngest: float) -> None:
+        """Remove files that no job needs and that were made by then, a time already past."""
         inputs, results = await self._database.read(queue.wanted)
         removed = await asyncio.to_thread(
-            self._files.sweep, inputs, results, alone, self._presence.alive
+            self._files.sweep, inputs, results, youngest, self._presence.alive
         )
         if removed:
             _log.info("files that no job needs were removed", files=removed)

@@ -150,7 +150,9 @@ class Runner:
             except Exception:  # noqa: BLE001 - `reclaim` takes it up again
                 _log.exception("a job was left behind")
             finally:
-                del self._halts[job.id]
+                # Given back, the job may have been begun anew: that one's event stays.
+                if self._halts.get(job.id) is halt:
+                    del self._halts[job.id]
                 self._changed()
 
     async def _attend(

@@ -2,7 +2,7 @@
 """What clients ask of the jobs' table; each function is one transaction."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select, update
@@ -10,7 +10,7 @@ from sqlalchemy import Connection, func, insert, select, update
 from pugeo_service.jobs.record import ACTIVE, Job, State
 from pugeo_service.jobs.schema import jobs
 
-__all__ = ["Usage", "add", "by_key", "get", "many", "page", "usage", "withdraw"]
+__all__ = ["Usage", "add", "by_key", "get", "many", "page", "usage", "usages", "withdraw"]
 
 
 _ADDING = 0x70756765  # any number that nobody else locks in this database
@@ -18,7 +18,7 @@ _ADDING = 0x70756765  # any number that nobody else locks in this database
 
 @dataclass(frozen=True)
 class Usage:
-    """What all jobs together take up.
+    """What jobs take up, all together or those of one owner.
 
     Attributes:
         queued: jobs that wait.
@@ -30,10 +30,15 @@ class Usage:
     running: int = 0
     bytes: int = 0
 
+    @property
+    def active(self) -> int:
+        """Jobs that wait or run."""
+        return self.queued + self.running
 
-def usage(connection: Connection) -> Usage:
-    """Add up what is taken."""
-    rows = connection.execute(
+
+def usage(connection: Connection, owner: str | None = None) -> Usage:
+    """Add up what is taken, by everybody or by one owner."""
+    query = (
         select(
             jobs.c.state,
             func.count(),
@@ -42,7 +47,10 @@ def usage(connection: Connection) -> Usage:
         )
         .where(jobs.c.state.in_((*ACTIVE, "succeeded")))
         .group_by(jobs.c.state)
-    ).all()
+    )
+    if owner is not None:
+        query = query.where(jobs.c.owner == owner)
+    rows = connection.execute(query).all()
     by_state = {state: (count, int(inputs), int(results)) for state, count, inputs, results in rows}
     none = (0, 0, 0)
     queued, running = by_state.get("queued", none), by_state.get("running", none)
@@ -50,23 +58,30 @@ def usage(connection: Connection) -> Usage:
     return Usage(queued[0], running[0], queued[1] + running[1] + kept)
 
 
-def add(connection: Connection, job: Job, most_jobs: int, most_bytes: int) -> Usage | None:
+def usages(connection: Connection, owner: str) -> tuple[Usage, Usage]:
+    """Add up what everybody takes, and what one owner does; ``""`` is everybody."""
+    taken = usage(connection)
+    return taken, usage(connection, owner) if owner else taken
+
+
+def add(connection: Connection, job: Job, check: Callable[[Usage, Usage], None]) -> None:
     """Insert a new job where there is room for it.
 
-    Returns:
-        ``None`` if it was inserted, else what is taken, which is too much.
+    Args:
+        connection: in a transaction that writes.
+        job: the new one.
+        check: given what everybody takes and what the job's owner does, raises if that is too
+            much.
 
     Raises:
         IntegrityError: its owner has another job of that key.
+        Exception: what ``check`` raises; nothing is inserted then.
     """
     if connection.dialect.name == "postgresql":
         # SQLite has one writer at a time; here two that count at once would both find room.
         connection.execute(select(func.pg_advisory_xact_lock(_ADDING)))
-    taken = usage(connection)
-    if taken.queued + taken.running >= most_jobs or taken.bytes + job.input_bytes > most_bytes:
-        return taken
+    check(*usages(connection, job.owner))
     connection.execute(insert(jobs).values(**dataclasses.asdict(job)))
-    return None
 
 
 def by_key(connection: Connection, owner: str, key: str) -> Job | None:

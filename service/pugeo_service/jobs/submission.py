@@ -2,6 +2,7 @@
 """How a job is let in: room first, then its input on the disk, then its row."""
 
 import asyncio
+import functools
 import hashlib
 import json
 import re
@@ -19,7 +20,7 @@ from pugeo_service.jobs import store
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.record import Job, new_id
-from pugeo_service.jobs.store import Usage
+from pugeo_service.jobs.room import Room
 from pugeo_service.options import UpsampleQuery
 from pugeo_service.problems import Problem
 from pugeo_service.settings import Settings
@@ -29,7 +30,6 @@ __all__ = ["Submission", "key_of"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _KEY = re.compile(r"[\x21-\x7e]([\x20-\x7e]{0,253}[\x21-\x7e])?")
-_FULL_RETRY_S = 30.0
 
 
 def key_of(request: Request) -> str | None:
@@ -62,6 +62,7 @@ class Submission:
         self._database = database
         self._files = files
         self._arriving = arriving
+        self._room = Room(settings.jobs_queue, settings.jobs_bytes)
 
     async def __call__(
         self, request: Request, query: UpsampleQuery, answer: str, owner: str, key: str | None
@@ -79,11 +80,12 @@ class Submission:
             The job, and whether it is new: a request that was sent before gets the job of then.
 
         Raises:
-            Problem: as `receive_body`; 422 where the key names another request; 503 where there
-                is no room, the disk is full, or the database fails.
+            Problem: as `receive_body`; 422 where the key names another request; 429 where the
+                owner has its share; 503 where there is no room for anybody, the disk is full,
+                or the database fails.
         """
         if key is None or not await self._database.read(store.by_key, owner, key):
-            self._check(await self._database.read(store.usage), 0)
+            self._room.check(owner, 0, *await self._database.read(store.usages, owner))
         job_id = new_id()
         with self._arriving.hold(owner) as hold, self._files.new_input(job_id) as file:
             body = await receive_into(file, request, self._settings, hold)
@@ -116,15 +118,11 @@ class Submission:
 
     async def _insert(self, job: Job) -> Job:
         """Insert a job, or return the one that its owner sent before under its key."""
-        settings = self._settings
-        limits = (settings.jobs_queue, settings.jobs_bytes)
         try:
-            earlier, taken = await self._database.write(_find_or_add, job, *limits)
+            earlier = await self._database.write(_find_or_add, job, self._room)
         except IntegrityError:
             # The same request, sent twice at once: the other one was faster.
-            earlier, taken = await self._database.write(_find_or_add, job, *limits)
-        if taken is not None:
-            self._check(taken, job.input_bytes)
+            earlier = await self._database.write(_find_or_add, job, self._room)
         if earlier is not None and earlier.request_digest != job.request_digest:
             detail = (
                 "This Idempotency-Key was used for another request; a key names one body with "
@@ -132,20 +130,6 @@ class Submission:
             )
             raise Problem(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
         return earlier or job
-
-    def _check(self, taken: Usage, more: int) -> None:
-        settings = self._settings
-        active = taken.queued + taken.running
-        if active < settings.jobs_queue and taken.bytes + max(1, more) <= settings.jobs_bytes:
-            return
-        detail = "There is no room for another job; try again after the time in Retry-After."
-        fields = {
-            "active_jobs": active,
-            "capacity_jobs": settings.jobs_queue,
-            "bytes": taken.bytes,
-            "capacity_bytes": settings.jobs_bytes,
-        }
-        raise Problem(503, "jobs_full", detail, retry_after=_FULL_RETRY_S, fields=fields)
 
     async def _withdraw_unless_there(self, job: Job) -> None:
         """Remove the input of a job that was not let in.
@@ -162,14 +146,14 @@ class Submission:
             await asyncio.to_thread(self._files.remove_input, job.id)
 
 
-def _find_or_add(
-    connection: Connection, job: Job, most_jobs: int, most_bytes: int
-) -> tuple[Job | None, Usage | None]:
+def _find_or_add(connection: Connection, job: Job, room: Room) -> Job | None:
+    """Return the job that has its key already, or else insert it where there is room."""
     if job.idempotency_key is not None:
         earlier = store.by_key(connection, job.owner, job.idempotency_key)
         if earlier is not None:
-            return earlier, None
-    return None, store.add(connection, job, most_jobs, most_bytes)
+            return earlier
+    store.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
+    return None
 
 
 def _digest(options: dict[str, Any], answer: str, format: str | None, sha256: str) -> str:
