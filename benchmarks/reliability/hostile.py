@@ -20,6 +20,7 @@ Mischief = Callable[[Address, random.Random], Awaitable[tuple[int, ...]]]
 
 _STATUS = re.compile(rb"HTTP/1\.[01] (\d{3}) ")
 _PATIENCE_S = 60.0
+_BORED_S = 3.0
 # Between two pieces of what never ends: who attacks shares the processor with who is attacked.
 _PAUSE_S = 0.005
 _POST = b"POST /upsample HTTP/1.1\r\nHost: x\r\n"
@@ -83,9 +84,11 @@ async def endless_chunks(address: Address, rng: random.Random) -> tuple[int, ...
     """A chunked body that goes on until somebody minds."""
     size = rng.choice((4096, 65_536))
     chunk = b"%x\r\n" % size + bytes(size) + b"\r\n"
+    # Most have had enough some seconds after they were told; some never have.
+    bored = rng.choice((_BORED_S, _BORED_S, _BORED_S, _PATIENCE_S))
     async with _connected(address) as (reader, writer):
         writer.write(_POST + b"Transfer-Encoding: chunked\r\n\r\n")
-        answer = asyncio.create_task(statuses(reader))
+        answer = asyncio.create_task(statuses(reader, bored))
         with contextlib.suppress(OSError):
             for _ in range(1 << 20):
                 writer.write(chunk)

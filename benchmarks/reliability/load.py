@@ -38,11 +38,11 @@ class _Tally:
     points_out: int = 0
     impatient: int = 0
 
-    def add(self, asked: Ask, reply: Reply) -> None:
+    def add(self, asked: Ask, reply: Reply, *, late: bool) -> None:
         self.statuses[f"{reply.status} {reply.code}".strip()] += 1
         if reply.status == 200:
             self.seconds.setdefault(asked.points, []).append(reply.seconds)
-            self.points_out += asked.points_out
+            self.points_out += 0 if late else asked.points_out
         elif reply.status in (429, 503) and reply.retry_after is None:
             self.impatient += 1
 
@@ -79,7 +79,7 @@ async def _run(server: Server, options: argparse.Namespace) -> int:
                     points = rng.choices(list(mix), list(mix.values()))[0]
                     asked = rng.choice(asks[points])
                     reply = await post(client, server.url, asked, _LATE_S)
-                    tally.add(asked, reply)
+                    tally.add(asked, reply, late=time.monotonic() > end)
                     if reply.status == 200:
                         book.check(asked, reply.body)
                     else:
@@ -87,9 +87,9 @@ async def _run(server: Server, options: argparse.Namespace) -> int:
 
             clients = [asyncio.create_task(work(number)) for number in range(options.clients)]
             await asyncio.sleep(options.seconds)
-        # Memory is that of the load; what was accepted is finished all the same.
+            probing.cancel()
+        # Memory and points a second are those of the load; what was accepted is finished as well.
         await asyncio.gather(*clients)
-        probing.cancel()
     same = workers == {worker.pid for worker in server.workers()}
     return _report(options, book, tally, probes, watch, warmed, same)
 

@@ -67,7 +67,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=120.0, help="of overload [120]")
     parser.add_argument("--measure", type=float, default=30.0, help="seconds for capacity [30]")
     parser.add_argument("--factor", type=float, default=10.0, help="offered over capacity [10]")
-    parser.add_argument("--deadline", type=float, default=600.0, help="of the service [its own: 600]")
+    parser.add_argument(
+        "--deadline", type=float, default=600.0, help="of the service [its own: 600]"
+    )
     parser.add_argument("--sdk", type=int, default=8, help="clients of the SDK [8]")
     parser.add_argument("--calls", type=int, default=4, help="of each of them [4]")
     parser.add_argument("--retries", type=int, help="of a call [the SDK's own]")

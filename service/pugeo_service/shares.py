@@ -25,7 +25,7 @@ def check_share(
 ) -> None:
     """Refuse what would give an owner more than is left for everybody else.
 
-    What an owner asks for is never its own obstacle, however large.
+    An owner that holds nothing else is not refused, however much it asks for.
 
     Args:
         unit: what is counted, in the plural, as ``"bytes"``.

@@ -19,10 +19,11 @@ __all__ = ["LONG_PATCHES", "Flow"]
 
 # From here on, preparing, merging and finishing take seconds.
 LONG_PATCHES = 8
-# A large request that got nothing done for so long has its next batch run first.
+# A large order that got nothing done for so long has its next batch run first; see `_spread`.
 _PATIENCE_S = 5.0
 _FIRST = 1e9
-# Whatever somebody waits for comes before whatever nobody waits for: no cloud has so many patches.
+# Whatever somebody waits for comes before whatever nobody waits for, but for the batch that
+# _PATIENCE_S gives a background order: no cloud has so many patches.
 _BEHIND = -1e8
 _BEHIND_FIRST = -1e7
 
@@ -192,6 +193,9 @@ class Flow:
                 if not done and len(waiting) < 2 * window:
                     start = next(starts, None)
                     if start is not None:
+                        # In a background order too: its batch goes ahead of all waiting batches
+                        # of requests. That is intended: one each _PATIENCE_S, so that jobs
+                        # progress at all while requests keep all workers busy.
                         launch(start, _FIRST)
                 for task in done:
                     task.result()

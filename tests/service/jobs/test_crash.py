@@ -155,6 +155,27 @@ def test_the_files_of_the_living_are_not_swept(open_house: Any) -> None:
     asyncio.run(whole())
 
 
+def test_what_comes_while_the_sweep_looks(open_house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that appears after the table was read stays, also where nobody else was there."""
+
+    async def whole() -> None:
+        async with open_house() as house:
+            late = house.folder / "inputs" / "late"
+        wanted = queue.wanted
+
+        def meanwhile(connection: Any) -> Any:
+            found = wanted(connection)
+            time.sleep(0.05)
+            late.write_bytes(b"whole")
+            return found
+
+        monkeypatch.setattr(queue, "wanted", meanwhile)
+        async with open_house() as house:
+            assert house.names("inputs") == ["late"]
+
+    asyncio.run(whole())
+
+
 @pytest.mark.parametrize("harm", ["gone", "changed"])
 def test_an_input_that_was_lost(open_house: Any, harm: str) -> None:
     """A file that is gone or changed fails its job, and no result is made of it."""

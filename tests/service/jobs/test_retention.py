@@ -119,7 +119,7 @@ def test_more_expire_than_a_statement_has_parameters() -> None:
     ids = [f"{number:032x}" for number in range(20)]
     with engine.begin() as connection:
         for name in ids:
-            store.add(connection, dataclasses.replace(job, id=name), 1000, 1000)
+            store.add(connection, dataclasses.replace(job, id=name), lambda *_: None)
         driver: Any = connection.connection.driver_connection
         driver.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 19)
         assert sorted(queue.expire(connection, 2.0)) == ids

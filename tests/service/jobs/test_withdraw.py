@@ -4,6 +4,11 @@
 import asyncio
 from typing import Any
 
+import pytest
+
+from pugeo_service.jobs.record import Job
+from pugeo_service.jobs.settle import Settlement
+
 
 def test_cancelling_what_waits(play: Any) -> None:
     """It never begins, and its input goes at once."""
@@ -43,6 +48,37 @@ def test_cancelling_what_runs(play: Any) -> None:
         assert house.names("results") == [second["id"]]
 
     play(scenario, jobs_running=1)
+
+
+def test_cancelling_what_was_begun_anew(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A job that is begun again before its first attempt has quite ended can still be stopped."""
+    monkeypatch.setattr("pugeo_service.jobs.settle._ENGINE_BACK_S", 0.0)
+    monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 60.0)  # nothing else notices
+
+    async def scenario(house: Any) -> None:
+        runner, settle = house.jobs._runner, Settlement.__call__
+        ended: list[str] = []
+
+        async def slowly(self: Settlement, job: Job, work: Any) -> None:
+            if ended:
+                await settle(self, job, work)
+                return
+            house.engine.hold.clear()
+            first = runner._halts[job.id]
+            await settle(self, job, work)
+            await house.eventually(lambda: runner._halts[job.id] is not first)
+            ended.append(job.id)
+
+        monkeypatch.setattr(Settlement, "__call__", slowly)
+        house.engine.lose = 1
+        job = await house.submit()
+        await house.eventually(lambda: ended == [job["id"]] and len(runner._tasks) == 1)
+        await house.eventually(lambda: house.engine.running == 1)
+        assert (await house.http.delete(f"/jobs/{job['id']}")).json()["state"] == "cancelled"
+        await house.eventually(lambda: house.engine.running == 0)
+        await house.eventually(lambda: runner._halts == {} and house.names("inputs") == [])
+
+    play(scenario, jobs_running=2)
 
 
 def test_deleting_a_result(play: Any) -> None:
