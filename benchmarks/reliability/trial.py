@@ -16,6 +16,8 @@ import traceback
 import tracemalloc
 import warnings
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -77,7 +79,7 @@ class Trial:
     rss_late: int = 0
 
 
-def inputs(seed: int) -> Any:
+def inputs(seed: int) -> Callable[[int], Input]:
     """A function from the number of an input to the input."""
     mutator = Mutator(corpus())
     names = list(formats.FORMATS)
@@ -115,34 +117,45 @@ def run(seed: int, start: int, stop: int, place: "mmap.mmap") -> Trial:
     # Compiles and imports what is compiled and imported once a process.
     for data in (each for files in corpus().values() for each in files):
         read_one(Input("", None, data))
-    tracemalloc.start()
-    for index in range(start, stop):
-        place[:8] = index.to_bytes(8, "little")
-        if index == start or index % _SEAM == 0:
-            warnings.simplefilter("error" if index // _SEAM % 2 else "default")
-        if index - start == (stop - start) // 50:
-            trial.rss_early = _peak_rss()
-        one = make(index)
-        tracemalloc.reset_peak()
-        before, began = tracemalloc.get_traced_memory()[0], time.thread_time()
-        try:
-            outcomes[f"{one.kind} {read_one(one)}"] += 1
-        except BaseException:  # noqa: BLE001 - whatever it is, it is what is looked for
-            trial.findings.append({"index": index, "what": traceback.format_exc(limit=-6)})
-        spent = time.thread_time() - began
-        peak = tracemalloc.get_traced_memory()[1] - before
-        share = peak / allowance(one.data)
-        if spent > SECONDS:
-            trial.findings.append({"index": index, "what": f"took {spent:.1f} s"})
-        if share > 1.0:
-            size = len(one.data)
-            trial.findings.append(
-                {"index": index, "what": f"{peak:,} bytes for a file of {size:,}"}
-            )
-        trial.slowest_s = max(trial.slowest_s, spent)
-        trial.largest_share = max(trial.largest_share, share)
+    with warnings.catch_warnings(), _traced():
+        for index in range(start, stop):
+            place[:8] = index.to_bytes(8, "little")
+            if index == start or index % _SEAM == 0:
+                warnings.simplefilter("error" if index // _SEAM % 2 else "default")
+            if index - start == (stop - start) // 50:
+                trial.rss_early = _peak_rss()
+            _try(index, make(index), trial, outcomes)
     trial.outcomes, trial.rss_late = dict(outcomes), _peak_rss()
     return trial
+
+
+def _try(index: int, one: Input, trial: Trial, outcomes: Counter[str]) -> None:
+    """Read one input and enter what happened."""
+    tracemalloc.reset_peak()
+    before, began = tracemalloc.get_traced_memory()[0], time.thread_time()
+    try:
+        outcomes[f"{one.kind} {read_one(one)}"] += 1
+    except BaseException:  # noqa: BLE001 - whatever it is, it is what is looked for
+        trial.findings.append({"index": index, "what": traceback.format_exc(limit=-6)})
+    spent = time.thread_time() - began
+    peak = tracemalloc.get_traced_memory()[1] - before
+    share = peak / allowance(one.data)
+    if spent > SECONDS:
+        trial.findings.append({"index": index, "what": f"took {spent:.1f} s"})
+    if share > 1.0:
+        what = f"{peak:,} bytes for a file of {len(one.data):,}"
+        trial.findings.append({"index": index, "what": what})
+    trial.slowest_s = max(trial.slowest_s, spent)
+    trial.largest_share = max(trial.largest_share, share)
+
+
+@contextmanager
+def _traced() -> Iterator[None]:
+    tracemalloc.start()
+    try:
+        yield
+    finally:
+        tracemalloc.stop()
 
 
 def _peak_rss() -> int:
