@@ -6,12 +6,14 @@ thousand points; a bound on requests alone would bound neither time nor memory.
 """
 
 import functools
+import itertools
 from collections import defaultdict
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from pugeo_service.drain import DrainRate, Pace
+from pugeo_service.engine.lanes import LARGE_PATCHES
 from pugeo_service.problems import Problem
 from pugeo_service.shares import check_share
 
@@ -48,7 +50,7 @@ class Admission:
         self.pace = Pace()
         self.totals = Totals()
         self.owners: defaultdict[str, Totals] = defaultdict(Totals)
-        self.entered: set[Hold] = set()
+        self.entered: dict[Hold, None] = {}
 
     @property
     def patches(self) -> int:
@@ -130,6 +132,7 @@ class Hold:
         self._owner = owner
         self._over = False
         self.mine = Totals()
+        self.large = False
 
     def __enter__(self) -> Self:
         return self
@@ -143,7 +146,7 @@ class Hold:
         self._over = True
         admission, was_in = self._admission, self.mine.requests
         self._take(Totals(-self.mine.patches, -self.mine.bytes, -self.mine.requests))
-        admission.entered.discard(self)
+        admission.entered.pop(self, None)
         if admission.owners.get(self._owner) == Totals():
             del admission.owners[self._owner]
         if was_in and admission.requests == 0:
@@ -176,7 +179,8 @@ class Hold:
         self.check_share(Totals(patches=patches, requests=1))
         if total.requests == 0:
             admission.rate.start()
-        admission.entered.add(self)
+        admission.entered[self] = None
+        self.large = patches >= LARGE_PATCHES
         self._take(Totals(patches=patches, requests=1))
 
     def resize(self, patches: int) -> None:
@@ -185,6 +189,7 @@ class Hold:
         if self._over:
             return
         self._take(Totals(patches=patches - self.mine.patches))
+        self.large = patches >= LARGE_PATCHES
 
     def finish(self, patches: int) -> None:
         """Count ``patches`` as done."""
@@ -218,9 +223,10 @@ class Hold:
     def check_deadline(self, left: float, workers: int, *, sized: bool) -> None:
         """Refuse at once what cannot be done in time.
 
-        Requests with less to do go first, so those are what this one waits for. All times are
-        lower bounds, the network's part alone: to refuse what might have been served is worse
-        than to give up late.
+        Small requests wait for small ones that came first. So do large ones for large ones, but
+        as many as there are workers are begun, and all but one of them may end after this one.
+        All times are lower bounds, the network's part alone: to refuse what might have been
+        served is worse than to give up late.
 
         Args:
             left: seconds until the client stops waiting.
@@ -231,11 +237,10 @@ class Hold:
             Problem: 503 where the queue is the cause, 504 where the cloud itself takes longer.
         """
         mine = self.mine.patches
-        ahead = sum(
-            other.mine.patches
-            for other in self._admission.entered
-            if other is not self and other.mine.patches <= mine
-        )
+        earlier = itertools.takewhile(lambda other: other is not self, self._admission.entered)
+        before_me = sorted(other.mine.patches for other in earlier if other.large is self.large)
+        beside = workers - 1 if self.large else 0
+        ahead = sum(before_me[: max(0, len(before_me) - beside)])
         alone = self._admission.pace.least_seconds(mine, workers) if sized else 0.0
         before = self._admission.pace.least_seconds(ahead, workers)
         if alone > left:

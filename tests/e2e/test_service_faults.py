@@ -67,10 +67,10 @@ class Call(threading.Thread):
 
 
 @contextmanager
-def running(server: Server, body: bytes) -> Iterator[Call]:
+def running(server: Server, body: bytes, query: str = "?R=2") -> Iterator[Call]:
     """A request whose patches are being worked on."""
     patches = server.metric("pugeo_queue_patches")
-    call = Call(server, body)
+    call = Call(server, body, query)
     call.start()
     eventually(lambda: server.metric("pugeo_queue_patches") > patches)
     time.sleep(3)
@@ -120,14 +120,33 @@ def test_a_client_that_leaves(server: Server) -> None:
 
 def test_a_small_request_does_not_wait_for_a_large_one(server: Server) -> None:
     """It is answered while the large one, which came first, still has most of its way to go."""
-    with running(server, LARGE) as large:
-        for _ in range(3):
+    with running(server, LARGE, "?R=8") as large:
+        small = Call(server, SMALL)
+        small.start()
+        assert small.answer().status_code == 200
+        assert large.is_alive()
+        assert small.seconds < 5
+    assert large.answer().status_code == 200
+
+
+def test_a_large_request_does_not_wait_for_small_ones_without_end(server: Server) -> None:
+    """It gets its turns while small ones keep all workers busy."""
+    large = Call(server, ball(30_000))
+
+    def keep_asking() -> None:
+        while large.is_alive():
             small = Call(server, SMALL)
             small.start()
             assert small.answer().status_code == 200
-            assert large.is_alive()
-            assert small.seconds < 5
+
+    large.start()
+    clients = [threading.Thread(target=keep_asking) for _ in range(6)]
+    for client in clients:
+        client.start()
     assert large.answer().status_code == 200
+    for client in clients:
+        client.join()
+    assert large.seconds < 60
 
 
 def test_probes_answer_under_load(server: Server) -> None:

@@ -274,23 +274,33 @@ def paced(patches_per_second: float) -> Admission:
 def test_a_deadline_that_the_queue_cannot_meet() -> None:
     """503 at once, with the time after which it could be; only what goes first counts."""
     admission = paced(5)
-    with admission.hold() as first, admission.hold() as small, admission.hold() as large:
-        first.enter(300)
+    holds = [admission.hold() for _ in range(6)]
+    first, small, shorter, longer, second, large = holds
+    with first, small, shorter, longer, second, large:
+        first.enter(7)
+        longer.enter(300)
+        shorter.enter(100)
+        second.enter(5)
+        large.enter(200)
         small.enter(2)
-        small.check_deadline(1.0, 2, sized=True)
-        large.enter(400)
-        # An estimate of its own size is no ground to refuse on: text takes many bytes a point.
-        large.check_deadline(31.0, 2, sized=False)
+        # Small ones wait for small ones, in the order they came.
+        first.check_deadline(0.001, 2, sized=False)
+        small.check_deadline(1.6, 2, sized=True)
         with pytest.raises(Problem) as caught:
-            large.check_deadline(30.0, 2, sized=False)
+            small.check_deadline(1.3, 2, sized=True)
+        assert caught.value.fields == {"patches_ahead": 12, "seconds_left": 1.3}
+        # An estimate of its own size is no ground to refuse on; the longest may end later.
+        large.check_deadline(11.0, 2, sized=False)
+        with pytest.raises(Problem) as caught:
+            large.check_deadline(9.0, 2, sized=False)
         assert (caught.value.status, caught.value.code) == (503, "deadline_unmeetable")
         assert caught.value.retryable
-        assert caught.value.fields == {"patches_ahead": 302, "seconds_left": 30.0}
+        assert caught.value.fields == {"patches_ahead": 100, "seconds_left": 9.0}
         assert caught.value.headers["Retry-After"] == "1"
         with pytest.raises(Problem) as caught:
-            large.check_deadline(60.0, 2, sized=True)
-        assert (caught.value.status, caught.value.headers["Retry-After"]) == (503, "11")
-        large.check_deadline(60.0, 3, sized=True)
+            large.check_deadline(20.0, 2, sized=True)
+        assert (caught.value.status, caught.value.headers["Retry-After"]) == (503, "10")
+        large.check_deadline(20.0, 3, sized=True)
 
 
 def test_a_deadline_that_the_cloud_itself_misses() -> None:

@@ -19,6 +19,7 @@ from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
 from pugeo_model.training.losses import JointLoss, Weights
+from pugeo_model.training.optimizer import Optimizer
 
 __all__ = ["Recipe", "Trainer", "learning_rate"]
 
@@ -32,10 +33,10 @@ class Recipe:
         mix: kinds of input.
         weights: of the loss.
         steps: length of the run. Raising it and resuming continues the constant phase.
-        rate: learning rate of AdamW.
+        rate: learning rate, of both parts of the optimiser.
         warmup: steps of linear rise.
         cooldown: share of the steps over which the rate falls to zero at the end.
-        decay: weight decay.
+        decay: weight decay of AdamW.
         clip: bound on the gradient's norm.
         seed: of weights, batches and draws.
         threads: torch threads.
@@ -91,9 +92,7 @@ class Trainer:
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []
         self.net = PUGeoNet(recipe.architecture)
-        self.optimizer = torch.optim.AdamW(
-            self.net.parameters(), lr=recipe.rate, weight_decay=recipe.decay, fused=True
-        )
+        self.optimizer = Optimizer(self.net, recipe.rate, recipe.decay)
         self.loss = JointLoss(shapes, recipe.weights)
         self.step = 0
         self.hours = 0.0
@@ -169,16 +168,13 @@ class Trainer:
         return sums
 
     def _train(self, count: int, samples: list[Any]) -> dict[str, float]:
-        rate = learning_rate(self.recipe, self.step)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
         rng = np.random.default_rng([self.recipe.seed, self.step, 1])
         total, parts = self.loss(self.net, count, samples, rng)
-        self.optimizer.zero_grad(set_to_none=True)
+        self.optimizer.zero_grad()
         total.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.recipe.clip)
         if torch.isfinite(norm):
-            self.optimizer.step()
+            self.optimizer.step(learning_rate(self.recipe, self.step))
         return {"loss": float(total.detach()), **parts, "gradient": float(norm)}
 
     def _save(self) -> None:

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from pugeo_service.engine.dask_pool import DaskPool
-from pugeo_service.engine.errors import EngineLost, WorkerLost, disk
+from pugeo_service.engine.errors import EngineLost, WorkerLost
 from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.order import Order, Outcome, Readable, Watcher
+from pugeo_service.engine.lanes import Lanes
+from pugeo_service.engine.order import InMemory, Order, Outcome, Readable, Watcher
 from pugeo_service.engine.pool import Pool
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
@@ -56,7 +57,7 @@ class Engine:
         self._thread: threading.Thread | None = None
         # Suspects run one at a time: the guilty one then ends nobody else's task.
         self._quarantine = asyncio.Lock()
-        self._long = asyncio.Semaphore(max(1, settings.worker_count - 1))
+        self._lanes = Lanes(lambda: self._pool.warm_workers)
         self._proven = False
         self._retried = 0
 
@@ -121,8 +122,8 @@ class Engine:
 
     async def _prove(self) -> None:
         order = sample_order(self._settings.model, self._settings.deadline_s)
-        flow = Flow(self._pool, order, self._long, Watcher(), self._settings.spool_dir)
-        (await flow.run(sample_body())).spool.close()
+        flow = Flow(self._pool, order, self._lanes, Watcher(), self._settings.spool_dir)
+        (await flow.run(InMemory(sample_body()))).spool.close()
 
     async def _run(self, body: Readable, order: Order, watcher: Watcher) -> Outcome:
         done = 0
@@ -135,10 +136,8 @@ class Engine:
         counting = replace(watcher, on_done=on_done)
 
         async def attempt() -> Outcome:
-            flow = Flow(self._pool, order, self._long, counting, self._settings.spool_dir)
-            with disk():
-                data = await body.read()
-            return await flow.run(data)
+            flow = Flow(self._pool, order, self._lanes, counting, self._settings.spool_dir)
+            return await flow.run(body)
 
         try:
             return await attempt()

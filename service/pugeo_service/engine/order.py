@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from pugeo_service.spool import Spool
 
-__all__ = ["Head", "Order", "Outcome", "Readable", "Sheet", "Watcher"]
+__all__ = ["Head", "InMemory", "Order", "Outcome", "Readable", "Sheet", "Watcher"]
 
-# A patch has 2048 points of its own and a point takes 12 bytes at least: what a body of unknown
-# content may hold, before anybody read it.
+# A patch has 2048 points of its own. A point takes 12 bytes at least, as text three times as many.
 _BYTES_PER_PATCH = 2048 * 12
+_TEXT = 3
+_TEXTS = frozenset({"json", "xyz"})
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,9 @@ class Order:
     background: bool = False
 
     @staticmethod
-    def estimate(size: int) -> int:
-        """Return a guess (>= 1) at the patches in a body of ``size`` bytes."""
-        return max(1, size // _BYTES_PER_PATCH)
+    def estimate(size: int, format: str | None) -> int:
+        """Return a guess (>= 1) at the patches in a body of ``size`` bytes, before it is read."""
+        return max(1, size // (_BYTES_PER_PATCH * (_TEXT if format in _TEXTS else 1)))
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,32 @@ class Outcome:
 
 
 class Readable(Protocol):
-    """Bytes that the engine asks for when it begins, and again where it begins anew."""
+    """Bytes that the engine asks for when it begins, and again where it begins anew.
+
+    Attributes:
+        size: how many.
+    """
+
+    size: int
 
     async def read(self) -> NDArray[np.uint8]:
         """Return all bytes, uint8 ``(size,)``."""
+
+
+class InMemory:
+    """Bytes that are here already.
+
+    Args:
+        data: uint8 ``(size,)``.
+    """
+
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        self._data = data
+        self.size = len(data)
+
+    async def read(self) -> NDArray[np.uint8]:
+        """Return all bytes."""
+        return self._data
 
 
 def _ignore(*_: object) -> None:

@@ -75,7 +75,7 @@ class Attempt:
 
     async def _admitted(self) -> Hold:
         """Wait until the patches of all jobs that run leave room for these."""
-        patches = Order.estimate(self._job.input_bytes)
+        patches = Order.estimate(self._job.input_bytes, self._job.format)
         while True:
             try:
                 hold = self._admission.hold()

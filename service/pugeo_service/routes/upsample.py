@@ -82,7 +82,7 @@ async def _serve(
             async with deadline.arriving():
                 body = await receive_body(request, service.settings, hold)
             with body.spool:
-                hold.enter(Order.estimate(body.spool.size))
+                hold.enter(Order.estimate(body.spool.size, body.format))
                 hold.check_deadline(deadline.left, service.engine.status.workers, sized=False)
                 return await _run(request, service, body, offer, query, hold, deadline)
         except DeadlinePassed as error:

@@ -165,6 +165,8 @@ def test_a_body_that_cannot_be_read(tmp_path: Path) -> None:
     """The disk's failure is told as what it is, and the next order is served."""
 
     class Unreadable:
+        size = 1
+
         async def read(self) -> NDArray[np.uint8]:
             raise OSError(errno.EIO, "gone")
 

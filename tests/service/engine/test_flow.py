@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a request is spread: few tasks at a time, small first, nobody starved, nothing left over."""
+"""A request on its way: who goes first, what is told, and that nothing is left over."""
 
 import asyncio
 import errno
@@ -14,7 +14,8 @@ import pytest
 from pugeo_service.engine import flow as module
 from pugeo_service.engine.errors import DiskFailed
 from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.order import Head, Outcome, Sheet, Watcher
+from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
+from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
 from pugeo_service.engine.sample import sample_order
 from pugeo_service.spool import Spool
 
@@ -99,12 +100,20 @@ class Recorder:
         return [handle for handle in self.handles if handle.stage == stage]
 
 
-def run(pool: Recorder, tmp_path: Path, watcher: Watcher | None = None) -> tuple[Outcome, bytes]:
+def run(
+    pool: Recorder,
+    tmp_path: Path,
+    watcher: Watcher | None = None,
+    *,
+    order: Order = ORDER,
+    size: int = 10,
+    lanes: Lanes | None = None,
+) -> tuple[Outcome, bytes]:
     """Run the order on the pool; return the outcome and its bytes."""
 
     async def whole() -> tuple[Outcome, bytes]:
-        flow = Flow(pool, ORDER, asyncio.Semaphore(1), watcher or Watcher(), tmp_path)
-        outcome = await flow.run(np.zeros(10, np.uint8))
+        flow = Flow(pool, order, lanes or Lanes(lambda: 2), watcher or Watcher(), tmp_path)
+        outcome = await flow.run(InMemory(np.zeros(size, np.uint8)))
         with outcome.spool as spool:
             return outcome, (await spool.read()).tobytes()
 
@@ -124,11 +133,11 @@ def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
 
 
 def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
-    """Two for each worker, however many there are in all."""
+    """Two for each worker, however many there are in all, and one that has the turn."""
     pool = Recorder(100, seconds=lambda _: 0.001)
     run(pool, tmp_path)
     assert len(pool.of("predict")) == 50
-    assert pool.most_running == 4
+    assert pool.most_running == 5
 
 
 def test_small_requests_use_all_workers(tmp_path: Path) -> None:
@@ -138,35 +147,96 @@ def test_small_requests_use_all_workers(tmp_path: Path) -> None:
     assert len(pool.of("predict")) == 2
 
 
-def test_what_has_less_to_do_runs_earlier(tmp_path: Path) -> None:
-    """A request's priority is what remains of it, so it grows with every batch."""
-    pool = Recorder(20, seconds=lambda _: 0.001)
+def test_small_requests_go_in_the_order_they_came(tmp_path: Path) -> None:
+    """With all their tasks, and before the batches of large ones that have no turn."""
+    lanes = Lanes(lambda: 2)
+    first, large, second = Recorder(7), Recorder(20), Recorder(1)
+    for pool in (first, large, second):
+        run(pool, tmp_path, lanes=lanes)
+    tasks = ("prepare", "predict", "land", "propose", "merge", "finish")
+    earlier = {handle.priority for stage in tasks for handle in first.of(stage)}
+    later = {handle.priority for stage in tasks for handle in second.of(stage)}
+    assert len(earlier) == len(later) == 1
+    assert min(earlier) > max(later) > min(handle.priority for handle in large.of("predict"))
+
+
+def test_large_requests_have_turns(tmp_path: Path) -> None:
+    """One task of theirs at a time goes before everything else: stages, and some batches."""
+    pool = Recorder(20, seconds=lambda _: 0.01)
+    lanes = Lanes(lambda: 2)
+    run(pool, tmp_path, lanes=lanes)
+    for stage in ("propose", "merge", "finish"):
+        assert pool.of(stage)[0].priority == Lanes.FIRST
+        assert pool.of(stage)[0].long
+    for stage in ("predict", "land"):
+        assert {handle.priority == Lanes.FIRST for handle in pool.of(stage)} == {True, False}
+    assert lanes.turns.inside == lanes.entrance.inside == 0
+
+
+def test_small_stages_are_not_long(tmp_path: Path) -> None:
+    """Dask could not tell them from those of large clouds."""
+    pool = Recorder(LARGE_PATCHES - 1)
     run(pool, tmp_path)
-    priorities = [handle.priority for handle in pool.of("predict")]
-    assert priorities == sorted(priorities)
-    assert priorities[0] == -20
-    small = Recorder(2)
-    run(small, tmp_path)
-    assert min(handle.priority for handle in small.of("predict")) > priorities[0]
+    assert not any(handle.long for handle in pool.handles)
 
 
-def test_long_stages_are_marked(tmp_path: Path) -> None:
-    """Whole-cloud stages of large clouds are told apart, as Dask could not know."""
-    for patches, long in ((module.LONG_PATCHES - 1, False), (module.LONG_PATCHES, True)):
-        pool = Recorder(patches)
-        run(pool, tmp_path)
-        assert pool.of("merge")[0].long is long
-        assert pool.of("finish")[0].long is long
-        assert not pool.of("predict")[0].long
+def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> None:
+    """The body of the next is read when one has ended; small ones never wait for that."""
+    lanes = Lanes(lambda: 1)
+    begun: list[str] = []
+
+    class Body(InMemory):
+        def __init__(self, name: str, size: int) -> None:
+            super().__init__(np.zeros(size, np.uint8))
+            self.name = name
+
+        async def read(self) -> Any:
+            begun.append(self.name)
+            return await super().read()
+
+    async def one(name: str, size: int, patches: int) -> None:
+        pool = Recorder(patches, seconds=lambda _: 0.02)
+        flow = Flow(pool, ORDER, lanes, Watcher(), tmp_path)
+        (await flow.run(Body(name, size))).spool.close()
+        begun.append(f"{name} ended")
+
+    async def all_of_them() -> None:
+        large = LARGE_PATCHES * 2048 * 12
+        tasks = [
+            asyncio.create_task(one(name, size, patches))
+            for name, size, patches in (
+                ("large", large, 9),
+                ("text", large, 3),
+                ("next", large, 9),
+                ("small", 10, 1),
+            )
+        ]
+        await asyncio.gather(*tasks)
+
+    asyncio.run(all_of_them())
+    assert begun[:3] == ["large", "small", "small ended"]
+    # What turned out to be small makes room as soon as that is known.
+    assert begun.index("large ended") < begun.index("text") < begun.index("next")
+    assert begun.index("next") < begun.index("text ended")
 
 
-def test_nobody_starves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A request whose batches all wait gets its next one to the front."""
-    monkeypatch.setattr(module, "_PATIENCE_S", 0.05)
-    pool = Recorder(20, seconds=lambda handle: 0.2 if handle.priority < 0 else 0.0)
-    run(pool, tmp_path)
-    assert any(handle.priority > 0 for handle in pool.of("predict"))
-    assert len(pool.of("predict")) == 10
+def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A job behind endless requests gets its stages and batches done, one in each while."""
+    monkeypatch.setattr(module, "_BACKGROUND_PATIENCE_S", 0.05)
+    order = replace(ORDER, background=True)
+
+    class Busy(Recorder):
+        async def fetch(self, handle: Handle) -> Any:
+            source = handle.args[0] if handle.stage.startswith("describe") else handle
+            if source.priority < 0:
+                await asyncio.sleep(30)
+            return await super().fetch(handle)
+
+    pool = Busy(3, seconds=lambda handle: 30.0 if handle.priority < 0 else 0.0)
+    _, data = run(pool, tmp_path, order=order)
+    assert data == b"012"
+    cuts = [handle.args[1:] for handle in pool.of("cut_patches") if handle.priority > 0]
+    assert sorted(cuts) == [(0, 2), (2, 3)]
 
 
 def test_progress_is_told(tmp_path: Path) -> None:

@@ -66,13 +66,18 @@ class Neighbours(nn.Module):
 
 
 class Messages(nn.Module):
-    """One round of message passing with the senders' relative frames.
+    """One round of message passing with the senders' relative frames, then thought on the result.
 
     The first layer of an edge MLP on ``[f_i, f_j, pose]`` is split by linearity, so that its two
-    wide products are made once a point and not once an edge.
+    wide products are made once a point and not once an edge. What needs no neighbour is left to
+    an MLP of each point's own: a twelfth of the cost for the same number of weights.
+
+    Args:
+        width: channels.
+        expansion: hidden channels of the point's own MLP, in widths; 0 for none.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, expansion: int) -> None:
         super().__init__()
         self.receiver = nn.Linear(width, width)
         self.sender = nn.Linear(width, width, bias=False)
@@ -80,6 +85,12 @@ class Messages(nn.Module):
         self.second = nn.Linear(width, width)
         self.out = nn.Linear(3 * width, width)
         self.norm = nn.LayerNorm(width)
+        self.own: nn.Sequential | None = None
+        if expansion:
+            hidden = expansion * width
+            self.own = nn.Sequential(
+                nn.Linear(width, hidden), nn.ReLU(inplace=True), nn.Linear(hidden, width)
+            )
 
     def forward(self, features: Tensor, turn: Round) -> Tensor:
         """``(n, width)`` features of the outer ring -> ``(len(turn.rows), width)``."""
@@ -90,7 +101,7 @@ class Messages(nn.Module):
         each = torch.relu_(self.second(each))
         pooled = torch.cat([own, max_pool(each), mean_pool(each)], dim=-1)
         updated: Tensor = self.norm(own + torch.relu_(self.out(pooled)))
-        return updated
+        return updated if self.own is None else updated + self.own(updated)
 
 
 class ChartsBackbone(nn.Module):
@@ -100,13 +111,16 @@ class ChartsBackbone(nn.Module):
         width: channels of the point features.
         edge_width: channels of the per-neighbour MLP.
         features: channels of the result.
+        expansion: of each round's MLP on points, see ``Messages``.
     """
 
-    def __init__(self, width: int = 128, edge_width: int = 64, features: int = 256) -> None:
+    def __init__(
+        self, width: int = 128, edge_width: int = 64, features: int = 256, expansion: int = 0
+    ) -> None:
         super().__init__()
         self.neighbours = Neighbours(edge_width, width)
         self.norm = nn.LayerNorm(width)
-        self.messages = nn.ModuleList(Messages(width) for _ in MESSAGES)
+        self.messages = nn.ModuleList(Messages(width, expansion) for _ in MESSAGES)
         self.recalibration = Recalibration(len(MESSAGES) + 1, width)
         self.out = nn.Linear((len(MESSAGES) + 1) * width, features)
 

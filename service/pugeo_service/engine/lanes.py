@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who goes first: small clouds in the order they came, large ones in turns beside them.
+
+Shortest first would let large clouds wait as long as small ones keep coming; first come first
+served would let small ones wait for large ones. So each kind has workers of its own to count on:
+large clouds share all but one (each of their turns is one task), small ones have that one and
+whatever large clouds leave. As many large clouds begin as there are workers; the others wait on
+disk and hold no memory.
+"""
+
+import asyncio
+import itertools
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+
+__all__ = ["LARGE_PATCHES", "Lanes", "Line"]
+
+LARGE_PATCHES = 8
+"""From here on preparing, merging and finishing take seconds."""
+
+_LANE = 1e12  # no service sees so many requests
+
+
+class Line:
+    """A door that lets so many in at one time, first come first served.
+
+    Args:
+        places: how many may be inside now; at least one is let in.
+    """
+
+    def __init__(self, places: Callable[[], int]) -> None:
+        self._places = places
+        self._waiting: deque[asyncio.Future[None]] = deque()
+        self.inside = 0
+
+    async def __aenter__(self) -> None:
+        turn = asyncio.get_running_loop().create_future()
+        self._waiting.append(turn)
+        self._admit()
+        try:
+            await turn
+        except asyncio.CancelledError:
+            # It may have been let in just when it stopped waiting.
+            if turn.done() and not turn.cancelled():
+                self._leave()
+            else:
+                self._waiting.remove(turn)
+            raise
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._leave()
+
+    def _leave(self) -> None:
+        self.inside -= 1
+        self._admit()
+
+    def _admit(self) -> None:
+        while self._waiting and self.inside < max(1, self._places()):
+            self.inside += 1
+            self._waiting.popleft().set_result(None)
+
+
+class Lanes:
+    """What all requests of an engine share.
+
+    Args:
+        workers: how many are warm now.
+
+    Attributes:
+        entrance: large requests that have begun.
+        turns: tasks of large clouds that go before everything else.
+    """
+
+    FIRST = _LANE
+    """Priority of what has a turn, or is done in no time."""
+
+    def __init__(self, workers: Callable[[], int]) -> None:
+        self.entrance = Line(workers)
+        self.turns = Line(lambda: workers() - 1)
+        self._count = itertools.count(1)
+
+    def number(self) -> int:
+        """Return the place of a request among all that came."""
+        return next(self._count)
+
+    @staticmethod
+    def priority(number: int, patches: int, *, background: bool) -> float:
+        """Return the priority of tasks without a turn; larger runs earlier."""
+        large = patches >= LARGE_PATCHES
+        return -_LANE * (large + 2 * background) - number
