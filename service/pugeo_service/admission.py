@@ -223,8 +223,9 @@ class Hold:
     def check_deadline(self, left: float, workers: int, *, sized: bool) -> None:
         """Refuse at once what cannot be done in time.
 
-        Small requests wait for small ones that came first. So do large ones for large ones, but
-        as many as there are workers are begun, and all but one of them may end after this one.
+        Small requests wait for those that came first and have no more to do. Large ones wait for
+        large ones that came first, but as many as there are workers are begun, and all but one of
+        them may end after this one.
         All times are lower bounds, the network's part alone: to refuse what might have been
         served is worse than to give up late.
 
@@ -238,9 +239,11 @@ class Hold:
         """
         mine = self.mine.patches
         earlier = itertools.takewhile(lambda other: other is not self, self._admission.entered)
-        before_me = sorted(other.mine.patches for other in earlier if other.large is self.large)
-        beside = workers - 1 if self.large else 0
-        ahead = sum(before_me[: max(0, len(before_me) - beside)])
+        alike = sorted(other.mine.patches for other in earlier if other.large is self.large)
+        if self.large:
+            ahead = sum(alike[: max(0, len(alike) - workers + 1)])
+        else:
+            ahead = sum(patches for patches in alike if patches <= mine)
         alone = self._admission.pace.least_seconds(mine, workers) if sized else 0.0
         before = self._admission.pace.least_seconds(ahead, workers)
         if alone > left:

@@ -277,18 +277,18 @@ def test_a_deadline_that_the_queue_cannot_meet() -> None:
     holds = [admission.hold() for _ in range(6)]
     first, small, shorter, longer, second, large = holds
     with first, small, shorter, longer, second, large:
-        first.enter(7)
+        first.enter(1)
         longer.enter(300)
         shorter.enter(100)
         second.enter(5)
         large.enter(200)
         small.enter(2)
-        # Small ones wait for small ones, in the order they came.
+        # Small ones wait for small ones that came first and have no more to do.
         first.check_deadline(0.001, 2, sized=False)
-        small.check_deadline(1.6, 2, sized=True)
+        small.check_deadline(0.31, 2, sized=True)
         with pytest.raises(Problem) as caught:
-            small.check_deadline(1.3, 2, sized=True)
-        assert caught.value.fields == {"patches_ahead": 12, "seconds_left": 1.3}
+            small.check_deadline(0.29, 2, sized=True)
+        assert caught.value.fields == {"patches_ahead": 1, "seconds_left": 0.3}
         # An estimate of its own size is no ground to refuse on; the longest may end later.
         large.check_deadline(11.0, 2, sized=False)
         with pytest.raises(Problem) as caught:

@@ -46,8 +46,8 @@ class Flow:
         self._lanes = lanes
         self._watcher = watcher
         self._spool_dir = spool_dir
-        self._number = lanes.number()
-        self._ends = time.monotonic() + order.deadline_s
+        self._came = time.monotonic()
+        self._ends = self._came + order.deadline_s
         self._handles: set[Any] = set()
 
     async def run(self, body: Readable) -> Outcome:
@@ -191,7 +191,7 @@ class Flow:
         return await spread.run(2 * workers, self._priority(patches), haste)
 
     def _priority(self, patches: int) -> float:
-        return Lanes.priority(self._number, patches, background=self._order.background)
+        return Lanes.priority(self._came, patches, background=self._order.background)
 
     async def _collect(self, written: Any, sheet: Sheet) -> Spool:
         """Bring the answer here, a chunk at a time, so that no worker waits for a slow client."""

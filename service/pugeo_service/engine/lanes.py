@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who goes first: small clouds in the order they came, large ones in turns beside them.
+"""Who goes first: small clouds about in the order they came, large ones in turns beside them.
 
 Shortest first would let large clouds wait as long as small ones keep coming; first come first
-served would let small ones wait for large ones. So each kind has workers of its own to count on:
+served would let small ones wait for large ones. So among small ones a patch more counts as seconds
+of coming later, which nobody can lose to without end; and each kind has workers of its own to count on:
 large clouds share all but one (each of their turns is one task), small ones have that one and
 whatever large clouds leave. As many large clouds begin as there are workers; the others wait on
 disk and hold no memory.
 """
 
 import asyncio
-import itertools
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
@@ -19,7 +19,8 @@ __all__ = ["LARGE_PATCHES", "Lanes", "Line"]
 LARGE_PATCHES = 8
 """From here on preparing, merging and finishing take seconds."""
 
-_LANE = 1e12  # no service sees so many requests
+_LANE = 1e12  # seconds that no service lives
+_HANDICAP_S = 3.0
 
 
 class Line:
@@ -83,14 +84,15 @@ class Lanes:
     def __init__(self, workers: Callable[[], int]) -> None:
         self.entrance = Line(workers)
         self.turns = Line(lambda: workers() - 1)
-        self._count = itertools.count(1)
-
-    def number(self) -> int:
-        """Return the place of a request among all that came."""
-        return next(self._count)
 
     @staticmethod
-    def priority(number: int, patches: int, *, background: bool) -> float:
-        """Return the priority of tasks without a turn; larger runs earlier."""
+    def priority(came: float, patches: int, *, background: bool) -> float:
+        """Return the priority of tasks without a turn; larger runs earlier.
+
+        Args:
+            came: when the request came, in seconds of any clock.
+            patches: of its cloud.
+            background: nobody waits for it.
+        """
         large = patches >= LARGE_PATCHES
-        return -_LANE * (large + 2 * background) - number
+        return -_LANE * (large + 2 * background) - (came + _HANDICAP_S * patches)

@@ -72,15 +72,22 @@ def test_who_leaves_the_line_takes_no_place() -> None:
 
 
 def test_ranks() -> None:
-    """Requests before jobs, small before large, and the earlier before the later."""
+    """Requests before jobs, small before large, and then who came first."""
     small, large = 1, LARGE_PATCHES
     ranks = [
         Lanes.FIRST,
-        Lanes.priority(1, small, background=False),
-        Lanes.priority(2, small, background=False),
-        Lanes.priority(1, large, background=False),
-        Lanes.priority(1, small, background=True),
-        Lanes.priority(1, large, background=True),
+        Lanes.priority(1.0, small, background=False),
+        Lanes.priority(1.1, small, background=False),
+        Lanes.priority(1.0, large, background=False),
+        Lanes.priority(1.0, small, background=True),
+        Lanes.priority(1.0, large, background=True),
     ]
     assert ranks == sorted(ranks, reverse=True)
     assert len(set(ranks)) == len(ranks)
+
+
+def test_who_has_less_to_do_overtakes_for_a_while() -> None:
+    """One patch goes before five that came a little earlier, but not before all that did."""
+    five = Lanes.priority(100.0, 5, background=False)
+    assert Lanes.priority(110.0, 1, background=False) > five
+    assert Lanes.priority(115.0, 1, background=False) < five
