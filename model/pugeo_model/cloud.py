@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The point cloud that travels through every stage."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,6 +49,25 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @classmethod
+    def join(cls, clouds: "Sequence[Cloud]") -> "Cloud":
+        """All clouds as one, in their order; each carries what the first one does."""
+        first = clouds[0]
+
+        def joined(of: Callable[[Cloud], Any]) -> Any:
+            return None if of(first) is None else np.concatenate([of(cloud) for cloud in clouds])
+
+        return cls(
+            points=joined(lambda cloud: cloud.points),
+            normals=joined(lambda cloud: cloud.normals),
+            colors=joined(lambda cloud: cloud.colors),
+            scalars={
+                name: np.concatenate([cloud.scalars[name] for cloud in clouds])
+                for name in first.scalars
+            },
+            notes=first.notes,
+        )
 
     def take(self, rows: NDArray[Any]) -> "Cloud":
         """Keep the given rows (indices or a mask), in that order, with all that rides along."""

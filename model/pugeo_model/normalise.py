@@ -31,6 +31,11 @@ class Placement:
     scale: float
     dtype: Any
 
+    def unit(self, point: tuple[float, float, float]) -> tuple[float, float, float]:
+        """A point of the cloud's own frame in the unit frame."""
+        x, y, z = (np.asarray(point, np.float64) - self.offset) / self.scale
+        return float(x), float(y), float(z)
+
     def world(self, points: NDArray[np.float64]) -> NDArray[Any]:
         """Points back in the input's frame and precision, ``(K, 3)``."""
         placed: NDArray[Any] = (points * self.scale + self.offset).astype(self.dtype)

@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The way of a cloud: clean, normalise, patches, network, merge, finish.
 
-    job        = prepare(cloud, options)
-    charts     = [predict(model, patch, job.candidates) for patch in job.patches]
-    candidates = [land(model, parcel) for parcel in propose(job, charts)]
-    points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
-    result     = finish(job, points)
+    plan       = survey(cloud, options)
+    for tile in plan.tiles:                       # one, unless the cloud is large
+        job        = prepare(tile)
+        charts     = [predict(model, patch, job.candidates) for patch in job.patches]
+        candidates = [land(model, parcel) for parcel in propose(job, charts)]
+        points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
+        piece      = finish(job, points)
+    result     = assemble(plan, pieces)
 
 The stages are plain functions of plain data, so that the command line runs them in a row and the
-service spreads ``predict`` and ``land`` over its workers; nothing else differs between the two.
-Candidates land before the merge too: charts of their neighbours pull outliers in, and the merge
-then spreads points that are where they seem to be.
+service spreads tiles, ``predict`` and ``land`` over its workers; nothing else differs between the
+two. Candidates land before the merge too: charts of their neighbours pull outliers in, and the
+merge then spreads points that are where they seem to be.
 """
 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +29,8 @@ from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import BadOption
 from pugeo_model.finish.attributes import carry
-from pugeo_model.finish.orientation import DIRECT, METHODS, orient, propagate
+from pugeo_model.finish.joining import Sides, signs_of_parts, take_sides
+from pugeo_model.finish.orientation import METHODS, method_of, orient, propagate
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
@@ -34,6 +38,7 @@ from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.merge.atlas import Atlas, Landed, Landing, PatchCharts, bind, parcels
 from pugeo_model.merge.placement import place, shares
 from pugeo_model.normalise import Placement, normalise
+from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,14 +48,18 @@ if TYPE_CHECKING:
 __all__ = [
     "Job",
     "Options",
+    "Piece",
+    "Plan",
     "Result",
     "Upsampler",
+    "assemble",
     "finish",
     "land",
     "merge",
     "predict",
     "prepare",
     "propose",
+    "survey",
 ]
 
 MOST = 32.0
@@ -113,39 +122,109 @@ def _refuse(name: str, value: Any, wanted: str, **fields: Any) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
-    """A prepared cloud.
+class Plan:
+    """A cloud that is known to be usable, and how it is cut.
 
     Attributes:
-        cloud: the cleaned input, rows in the order of the patches.
-        order: ``(M,)`` int32, the row that each had before.
+        cloud: the cleaned input.
         points: ``(M, 3)`` float64, unit scale.
         placement: offset and scale taken out.
-        neighbours: ``(M, 32)`` int32, nearest first.
-        frames: one a point.
-        patches: the units of work; their cores partition the points.
-        candidates: candidates a chart.
-        n_out: points of the answer.
+        cuts: the tiles, see :mod:`pugeo_model.tiles`.
+        noise: of the whole cloud, ``None`` where the only tile finds out by itself.
         options: as asked for.
+        orient: the method that gives normals their signs, never ``auto``.
+        n_out: points of the answer.
         report: what happened, JSON-able.
     """
 
     cloud: Cloud
-    order: NDArray[np.int32]
     points: NDArray[np.float64]
     placement: Placement
-    neighbours: NDArray[np.int32]
-    frames: Frames
-    patches: list[Patch]
-    candidates: int
-    n_out: int
+    cuts: list[Cut]
+    noise: float | None
     options: Options
-    report: dict[str, Any] = field(default_factory=dict)
+    orient: str
+    n_out: int
+    report: dict[str, Any]
 
     @property
     def keeps_input(self) -> bool:
         """Whether the answer begins with the input points: asked for, or no point is new."""
         return self.options.keep_input or self.n_out == len(self.points)
+
+    def tile(self, number: int) -> Tile:
+        """Return a tile with all that it needs on its way."""
+        cut = self.cuts[number]
+        whole = len(self.cuts) == 1
+        wanted = math.ceil(_OVERSAMPLE * self.n_out / len(self.points))
+        return Tile(
+            cloud=self.cloud if whole else self.cloud.take(cut.rows),
+            points=self.points if whole else self.points[cut.rows],
+            rows=cut.rows,
+            core=cut.core,
+            n_out=cut.n_out,
+            candidates=max(_FEWEST_CANDIDATES, wanted),
+            keeps_input=self.keeps_input,
+            noise=self.noise,
+            placement=self.placement,
+            orient=self.orient,
+            viewpoint=self.options.viewpoint,
+            centroid=self.points.mean(axis=0),
+            seed=self.options.seed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A prepared tile.
+
+    Attributes:
+        tile: what it was made of.
+        cloud: its input points, rows in the order of the patches.
+        order: ``(M,)`` int32, the row of the tile that each is.
+        core: ``(M,)`` which of them are the core's.
+        points: ``(M, 3)`` float64, unit scale.
+        neighbours: ``(M, 32)`` int32, nearest first.
+        frames: one a point.
+        patches: the units of work; their cores partition the points.
+    """
+
+    tile: Tile
+    cloud: Cloud
+    order: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    points: NDArray[np.float64]
+    neighbours: NDArray[np.int32]
+    frames: Frames
+    patches: list[Patch]
+
+    @property
+    def candidates(self) -> int:
+        """Candidates a chart."""
+        return self.tile.candidates
+
+    @property
+    def nothing_new(self) -> bool:
+        """Whether the answer is the input points, with normals."""
+        return self.tile.keeps_input and self.tile.n_out == self.tile.core
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The dense points of a tile's core.
+
+    Attributes:
+        cloud: in the cloud's own frame and units.
+        parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
+            signs are final.
+        sides: what the tile knows of its parts, where they are not.
+        noise: median residual of its input.
+    """
+
+    cloud: Cloud
+    parts: NDArray[np.intp] | None
+    sides: Sides | None
+    noise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +235,18 @@ class Result:
     report: dict[str, Any]
 
 
-def prepare(cloud: Cloud, options: Options) -> Job:
-    """Clean, normalise, find neighbours and frames, cut patches.
+def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
+    """Clean, normalise, cut into tiles.
+
+    Args:
+        cloud: the input.
+        options: what is asked for.
+        tile_size: input points of a tile at most; chosen by the size of its answer if ``None``.
 
     Raises:
         UntreatableCloud: the points left after cleaning span no surface.
-        BadOption: ``n_points`` is not 1 to 32 times the points left.
+        BadOption: ``n_points`` is not 1 to 32 times the points left, or ``orient`` asks for what
+            the cloud does not have.
     """
     cleaned, dropped = clean(cloud)
     points, placement = normalise(cleaned.points)
@@ -174,40 +259,38 @@ def prepare(cloud: Cloud, options: Options) -> Job:
             f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
             limit=[count, int(MOST) * count],
         )
-    # Rows in the order of the chunks: a patch's core is then a slice of every array to come.
-    parts = chunks(points, PATCH_SIZE)
-    order = np.concatenate(parts)
-    cleaned, points = cleaned.take(order), points[order]
-    distances, neighbours = nearest(points)
-    frames = fit_frames(points, neighbours, spacing(distances))
-    ends = np.cumsum([0] + [len(part) for part in parts])
-    patches = [
-        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
-        for start, stop in itertools.pairwise(ends)
-    ]
+    cuts, noise = cut_tiles(points, n_out, tile_size)
+    given = cleaned.normals is not None
+    method = method_of(options.orient, options.viewpoint, has_normals=given)
     report = {
         "points_in": len(cloud),
         "points_used": count,
         "points_out": n_out,
         "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
-        "patches": len(patches),
+        "patches": sum(-(-len(cut.rows) // PATCH_SIZE) for cut in cuts),
+        "tiles": len(cuts),
         "ratio": n_out / count,
-        "noise": frames.noise,
+        "orient": method,
         "notes": list(cleaned.notes),
     }
-    candidates = max(_FEWEST_CANDIDATES, math.ceil(_OVERSAMPLE * n_out / count))
+    return Plan(cleaned, points, placement, cuts, noise, options, method, n_out, report)
+
+
+def prepare(tile: Tile) -> Job:
+    """Find neighbours and frames, cut patches."""
+    # Rows in the order of the chunks: a patch's core is then a slice of every array to come.
+    parts = chunks(tile.points, PATCH_SIZE)
+    order = np.concatenate(parts)
+    points = tile.points[order]
+    distances, neighbours = nearest(points)
+    frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
+    ends = np.cumsum([0] + [len(part) for part in parts])
+    patches = [
+        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
+        for start, stop in itertools.pairwise(ends)
+    ]
     return Job(
-        cloud=cleaned,
-        order=order,
-        points=points,
-        placement=placement,
-        neighbours=neighbours,
-        frames=frames,
-        patches=patches,
-        candidates=candidates,
-        n_out=n_out,
-        options=options,
-        report=report,
+        tile, tile.cloud.take(order), order, order < tile.core, points, neighbours, frames, patches
     )
 
 
@@ -218,7 +301,7 @@ def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
 
 def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
     """The candidates of all charts, in parcels with the charts they land on."""
-    if job.n_out == len(job.points):
+    if job.nothing_new:
         return []
     atlas = bind(charts)
     spots = (job.points[:, None] + atlas.candidates).reshape(-1, 3)
@@ -234,9 +317,10 @@ def land(model: "Model", landing: Landing) -> Landed:
 def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]) -> list[Landing]:
     """Decide where the output points go; parcels of them, with the charts they land on."""
     atlas = bind(charts)
-    rows = np.arange(len(job.points), dtype=np.int32)
-    own = _parcels(job, atlas, job.points, rows, fixed=True) if job.keeps_input else []
-    if job.n_out == len(job.points):
+    rows = np.flatnonzero(job.core).astype(np.int32)
+    keeps = job.tile.keeps_input
+    own = _parcels(job, atlas, job.points[rows], rows, fixed=True) if keeps else []
+    if job.nothing_new:
         return own
     landed = Landed.join(candidates)
     spots, owner = place(
@@ -244,11 +328,12 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
         landed.normals,
         landed.error,
         landed.nearest,
-        job.n_out,
+        job.tile.n_out,
         shares(job.frames.spacing, job.neighbours),
         job.neighbours,
-        job.options.seed,
-        (job.points, job.frames.axes[:, 2]) if own else None,
+        job.tile.seed,
+        (job.points, job.frames.axes[:, 2]) if keeps else None,
+        job.core,
     )
     return own + _parcels(job, atlas, spots, owner)
 
@@ -265,41 +350,62 @@ def _parcels(
     return parcels(atlas, spots, owner, job.points, job.neighbours, job.frames, ends, fixed=fixed)
 
 
-def finish(job: Job, points: Sequence[Landed]) -> Result:
-    """Orient normals, carry colours and scalars over, put offset and scale back."""
+def finish(job: Job, points: Sequence[Landed]) -> Piece:
+    """Give normals their signs, carry colours and scalars over, put offset and scale back."""
     landed = Landed.join(points)
-    options, cloud = job.options, job.cloud
-    viewpoint = options.viewpoint
-    if viewpoint is not None:
-        moved = (np.asarray(viewpoint) - job.placement.offset) / job.placement.scale
-        viewpoint = (float(moved[0]), float(moved[1]), float(moved[2]))
-    signs, method = orient(
-        job.points,
-        job.frames.axes[:, 2],
-        options.orient,
-        viewpoint,
-        cloud.normals,
-        job.neighbours[:, :_TREE],
-    )
-    if method in DIRECT:
-        normals, _ = orient(landed.points, landed.normals, method, viewpoint, None, _NONE)
-    else:
+    tile, cloud = job.tile, job.cloud
+    if tile.keeps_input:
+        # The input's points lead; they landed in the order of the patches.
+        own = np.argsort(job.order[job.core])
+        landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
+    placement, axes = tile.placement, job.frames.axes[:, 2]
+    graph = job.neighbours[:, :_TREE]
+    sides = parts = None
+    if tile.orient == "mst":
+        sides = take_sides(tile.rows[job.order], job.core, job.points, axes, graph)
+        normals = propagate(landed.normals, landed.nearest, sides.normals)
+        parts = sides.parts[landed.nearest]
+    elif tile.orient == "input":
+        signs, _ = orient(job.points, axes, "input", None, cloud.normals, graph)
         normals = propagate(landed.normals, landed.nearest, signs)
+    else:
+        viewpoint = tile.viewpoint and placement.unit(tile.viewpoint)
+        normals, _ = orient(
+            landed.points, landed.normals, tile.orient, viewpoint, None, _NONE, tile.centroid
+        )
     colors, scalars = carry(
         Cloud(job.points, colors=cloud.colors, scalars=cloud.scalars), landed.points
     )
-    dense = Cloud(
-        points=job.placement.world(landed.points),
-        normals=normals,
-        colors=colors,
-        scalars=scalars,
-        notes=cloud.notes,
-    )
-    if job.keeps_input:
-        count = len(job.points)
-        dense.points[:count] = cloud.points
-        dense = dense.take(np.append(np.argsort(job.order), np.arange(count, job.n_out)))
-    return Result(dense, {**job.report, "orient": method})
+    dense = Cloud(placement.world(landed.points), normals, colors, scalars)
+    if tile.keeps_input:
+        dense.points[: tile.core] = tile.cloud.points[: tile.core]
+    return Piece(dense, parts, sides, job.frames.noise)
+
+
+def assemble(plan: Plan, pieces: Sequence[Piece]) -> Result:
+    """All tiles' points as one cloud, normals agreeing across the borders."""
+    clouds = [piece.cloud for piece in pieces]
+    sides = [piece.sides for piece in pieces if piece.sides is not None]
+    if sides:
+        for piece, signs in zip(pieces, signs_of_parts(sides), strict=True):
+            assert piece.cloud.normals is not None
+            piece.cloud.normals[:] *= signs[piece.parts, None].astype(np.float32)
+    dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
+    if plan.keeps_input and len(plan.cuts) > 1:
+        dense = dense.take(_input_first(plan.cuts))
+    noise = pieces[0].noise if plan.noise is None else plan.noise
+    return Result(replace(dense, notes=plan.cloud.notes), {**plan.report, "noise": noise})
+
+
+def _input_first(cuts: Sequence[Cut]) -> NDArray[np.int64]:
+    """Rows of the joined pieces: the input's points in their order, then all that is new."""
+    starts = np.cumsum([0] + [cut.n_out for cut in cuts])
+    own, new = [], []
+    for start, tile in zip(starts, cuts, strict=False):
+        own.append(start + np.arange(tile.core))
+        new.append(start + np.arange(tile.core, tile.n_out))
+    back = np.argsort(np.concatenate([tile.rows[: tile.core] for tile in cuts]))
+    return np.concatenate([np.concatenate(own)[back], *new])
 
 
 class Upsampler:
@@ -347,16 +453,22 @@ class Upsampler:
                 done.append(work(part))
             return done
 
-        tell("prepare", 0, 1)
-        job = prepare(cloud, options)
-        charts = spread(
-            "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
-        )
-        tell("propose", 0, 1)
-        candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
-        tell("merge", 0, 1)
-        points = spread("land", merge(job, charts, candidates), lambda part: land(self.model, part))
-        tell("finish", 0, 1)
-        result = finish(job, points)
+        def upsample(tile: Tile) -> Piece:
+            tell("prepare", 0, 1)
+            job = prepare(tile)
+            charts = spread(
+                "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
+            )
+            tell("propose", 0, 1)
+            candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
+            tell("merge", 0, 1)
+            parcels = merge(job, charts, candidates)
+            points = spread("land", parcels, lambda part: land(self.model, part))
+            tell("finish", 0, 1)
+            return finish(job, points)
+
+        plan = survey(cloud, options)
+        tiles = (plan.tile(number) for number in range(len(plan.cuts)))
+        result = assemble(plan, [upsample(tile) for tile in tiles])
         tell("finish", 1, 1)
         return result

@@ -8,12 +8,14 @@ from pugeo_model.metrics.clouds import evenness
 from pugeo_model.pipeline import (
     Options,
     Upsampler,
+    assemble,
     finish,
     land,
     merge,
     predict,
     prepare,
     propose,
+    survey,
 )
 
 
@@ -92,7 +94,8 @@ def test_n_points_instead_of_ratio(upsampler, sphere):
 def test_order_of_work_does_not_matter(upsampler, sphere):
     """Patches predicted and landed in any order, by anyone, give the same bytes."""
     points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
-    job = prepare(Cloud(points), Options(4.0))
+    plan = survey(Cloud(points), Options(4.0))
+    job = prepare(plan.tile(0))
     assert len(job.patches) > 2
     model = upsampler.model
     results = []
@@ -100,7 +103,8 @@ def test_order_of_work_does_not_matter(upsampler, sphere):
         charts = [predict(model, patch, job.candidates) for patch in job.patches[::turn]]
         landed = [land(model, part) for part in propose(job, charts)[::turn]][::turn]
         parts = merge(job, charts, landed)
-        results.append(finish(job, [land(model, part) for part in parts[::turn]][::turn]))
+        piece = finish(job, [land(model, part) for part in parts[::turn]][::turn])
+        results.append(assemble(plan, [piece]))
     one, two = results
     assert one.cloud.points.tobytes() == two.cloud.points.tobytes()
     np.testing.assert_array_equal(one.cloud.normals, two.cloud.normals)

@@ -6,6 +6,7 @@ Plain arrays only, so that parcels travel between processes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -89,6 +90,10 @@ class Landed:
     normals: NDArray[np.float32]
     error: NDArray[np.float32]
     nearest: NDArray[np.int32]
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> "Landed":
+        """The points of the given rows, in that order."""
+        return Landed(self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows])
 
     @classmethod
     def join(cls, parts: "Sequence[Landed]") -> "Landed":

@@ -27,24 +27,29 @@ def eliminate(
     reach: NDArray[np.float64],
     keep: int,
     burden: NDArray[np.float64] | None = None,
+    counted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
-    """Rows of the ``keep`` survivors, in ascending order.
+    """Rows of the survivors, in ascending order.
 
     Args:
         points: ``(C, 3)`` float64.
         neighbours: ``(C, k)`` int32 rows, ``-1`` where there is none; need not be mutual.
         reach: ``(C,)`` distance within which candidates crowd each other.
-        keep: number of survivors, ``0 <= keep <= C``.
+        keep: number of survivors among those counted, of which there are as many at least.
         burden: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
             would not do: an outlier has no neighbours, and its weight is next to nothing.
+        counted: ``(C,)`` who is counted, ``None`` for all: the others, of a margin, are thinned
+            alongside for as long as it takes.
     """
-    if not 0 <= keep <= len(points):
-        raise ValueError(f"keep must lie in 0..{len(points)}, not {keep}")
+    counted = np.ones(len(points), dtype=np.bool_) if counted is None else counted
+    there = int(np.count_nonzero(counted))
+    if not 0 <= keep <= there:
+        raise ValueError(f"keep must lie in 0..{there}, not {keep}")
     extra = np.zeros(len(points)) if burden is None else burden
     # Weight limiting (section 3.2 there): without it the closest pairs decide alone, and the
     # survivors' spacing varies by 11 % instead of 8 %.
-    floor = _LIMIT * (1.0 - (keep / max(len(points), 1)) ** _LIMIT_POWER)
-    alive = _run(points, neighbours, reach, extra, keep, floor)
+    floor = _LIMIT * (1.0 - (keep / max(there, 1)) ** _LIMIT_POWER)
+    alive = _run(points, neighbours, reach, extra, counted, there - keep, floor)
     return np.flatnonzero(alive)
 
 
@@ -86,7 +91,7 @@ def _sift_down(heap, place, key, size, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _run(points, neighbours, reach, burden, keep, floor):  # type: ignore[no-untyped-def]
+def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: ignore[no-untyped-def]
     count, k = neighbours.shape
     # Who lists me: a removal must lighten those, and lists are not always mutual.
     start = np.zeros(count + 1, dtype=np.int64)
@@ -112,9 +117,10 @@ def _run(points, neighbours, reach, burden, keep, floor):  # type: ignore[no-unt
         _sift_down(heap, place, key, count, at)
     alive = np.ones(count, dtype=np.bool_)
     size = count
-    while size > keep:
+    while surplus > 0:
         top = heap[0]
         alive[top] = False
+        surplus -= counted[top]
         size -= 1
         heap[0] = heap[size]
         place[heap[0]] = 0

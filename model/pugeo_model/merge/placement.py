@@ -15,7 +15,9 @@ _AREA = 0.756  # of a point's share of the surface, in squared spacings (mean di
 _NEAR_CHARTS = 12  # charts searched around a sample
 _CROWD = 20  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
-_CHANCE = 1e-3  # largest burden that the seed draws
+_CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample, not a worse one
+_PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
+_SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
 _USUAL = 2.25  # times the error usual around it that a candidate may be off without burden
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
@@ -44,6 +46,7 @@ def place(
     neighbours: NDArray[np.int32],
     seed: int,
     pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
+    core: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Where the output points go: eliminate, then let the survivors settle.
 
@@ -52,20 +55,23 @@ def place(
         normals: ``(C, 3)`` float32 unit.
         error: ``(C,)`` float32 that each expects of itself, in spacings.
         owner: ``(C,)`` int32 nearest chart of each.
-        wanted: number of points, at most ``C``.
+        wanted: number of points of the core's charts, at most as many as their candidates.
         share: ``(M,)`` area of each chart, see :func:`shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
         pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these are
             among the ``wanted`` and stay where they are.
+        core: ``(M,)`` charts whose points are wanted, ``None`` for all; the others are a margin
+            that keeps the core's border even.
 
     Returns:
-        Spots float64 and the owner int32 of each, without those pinned.
+        Spots float64 and the owner int32 of each, of the core, without those pinned.
     """
+    core = np.ones(len(share), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
-    reach = reach_of_share(share * (len(share) / wanted))
+    reach = reach_of_share(share * (np.count_nonzero(core) / wanted))
     burden = _doubt(error.astype(np.float64), owner, near)
-    burden += _CHANCE * np.random.default_rng(seed).random(len(candidates))
+    burden += _CHANCE * _draw(candidates, seed)
     held = 0
     if pinned is not None:
         held = len(near)
@@ -74,12 +80,27 @@ def place(
         owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
         burden = np.concatenate([np.full(held, _PINNED), burden])
     lists = crowd(candidates, owner, near, reach[owner], _CROWD)
-    kept = eliminate(candidates, lists, reach[owner], wanted, burden)
+    kept = eliminate(candidates, lists, reach[owner], wanted, burden, core[owner])
     spots, owner = candidates[kept], owner[kept]
     lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
     push = reach[owner]
     push[:held] = 0.0  # pushes, and is not pushed
-    return repel(spots, normals[kept], lists, push, _ROUNDS)[held:], owner[held:]
+    spots, owner = repel(spots, normals[kept], lists, push, _ROUNDS)[held:], owner[held:]
+    mine = core[owner]
+    return spots[mine], owner[mine]
+
+
+def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Numbers in 0..1, ``(C,)``, that a place and the seed decide.
+
+    And not the row: a candidate in the margins of several tiles draws the same in all of them.
+    """
+    drawn = np.full(len(points), seed, dtype=np.uint64)
+    for column in np.rint(points.T * _PLACES).astype(np.int64).view(np.uint64):
+        drawn ^= column
+        drawn *= np.uint64(_SPREAD)
+        drawn ^= drawn >> np.uint64(29)
+    return drawn / 2.0**64
 
 
 def _doubt(

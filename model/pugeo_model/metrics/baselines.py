@@ -18,7 +18,7 @@ from pugeo_model.merge.placement import nearest_charts, place, shares
 from pugeo_model.metrics.reconstruction import reconstruct
 from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.network.pattern import disk
-from pugeo_model.pipeline import Job, Options, finish, prepare
+from pugeo_model.pipeline import Job, Options, Plan, assemble, finish, prepare, survey
 from pugeo_model.training.corpus import face_normals, poisson_disk
 
 __all__ = ["jet", "plane", "poisson"]
@@ -100,17 +100,23 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     Raises:
         ModuleNotFoundError: pycolmap is not installed.
     """
-    job = prepare(cloud, Options(1.0))
+    plan, job = _whole(cloud, 1.0)
     charts = _jets(job)
     rows = np.arange(len(job.points), dtype=np.int32)
     _, normals = charts.lift(rows, np.zeros((len(rows), 2)))
-    sparse = finish(job, [_landed(job.points, normals, rows)]).cloud
+    sparse = assemble(plan, [finish(job, [_landed(job.points, normals, rows)])]).cloud
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
     wanted = Options(ratio).points_out(len(sparse))
     points = poisson_disk(vertices, faces, wanted, np.random.default_rng(0))
     _, face, _ = MeshDistance(vertices, faces).nearest(points)
     return Cloud(points, normals=face_normals(vertices, faces)[face].astype(np.float32))
+
+
+def _whole(cloud: Cloud, ratio: float) -> tuple[Plan, Job]:
+    """The cloud in one piece, however large."""
+    plan = survey(cloud, Options(ratio), tile_size=len(cloud))
+    return plan, prepare(plan.tile(0))
 
 
 def _landed(
@@ -123,7 +129,7 @@ def _landed(
 
 def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Cloud:
     """The way of a cloud with charts that nothing was learned for."""
-    job = prepare(cloud, Options(ratio))
+    plan, job = _whole(cloud, ratio)
     charts = fit(job)
     owner = np.repeat(np.arange(len(job.points), dtype=np.int32), job.candidates)
     pattern = np.tile(_DISK * disk(job.candidates).astype(np.float64), (len(job.points), 1))
@@ -134,12 +140,12 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
         candidates.normals,
         candidates.error,
         candidates.nearest,
-        job.n_out,
+        plan.n_out,
         shares(job.frames.spacing, job.neighbours),
         job.neighbours,
         seed=0,
     )
-    return finish(job, [charts.land(spots, owner, job.neighbours)]).cloud
+    return assemble(plan, [finish(job, [charts.land(spots, owner, job.neighbours)])]).cloud
 
 
 def _planes(job: Job) -> _Charts:

@@ -10,16 +10,18 @@ import numpy as np
 import torch
 from numba import njit
 from numpy.typing import NDArray
+from torch.nn import functional
 
 from pugeo_model.merge.atlas import Landing
 from pugeo_model.network.blend import FALLOFF, TRUST
 from pugeo_model.network.heads import LOG_ERROR, Surface
-from pugeo_model.network.precision import wide_products
 
-__all__ = ["Lander"]
+__all__ = ["Lander", "settle"]
 
-_BLOCK = 1024  # spots a pass: few calls, and what a pass writes still fits the caches
-_GEOMETRY = 9  # numbers kept of a spot on a chart: u, v, height, slopes, local x, y, z, distance
+_BLOCK = 512  # spots a pass: few calls, and what a pass writes still fits the caches
+_SHEET = 18  # numbers kept of a chart: basis (9), spacing, its inverse, quadric (6), lift
+_TERMS = 8  # inputs of the first layer: u, v, their products, height, slopes
+_OFFSET = 4  # numbers kept of a spot on a chart: x, y, z, squared distance in spacings
 
 
 class Lander:
@@ -30,9 +32,11 @@ class Lander:
     """
 
     def __init__(self, surface: Surface) -> None:
-        self.hidden = surface.hidden
+        # Rounded here once, as autocast would round them in every call.
+        self.hidden = surface.hidden.weight.detach().to(torch.bfloat16)
+        self.hidden_bias = surface.hidden.bias.detach().to(torch.bfloat16)
         self.terms = np.ascontiguousarray(surface.terms.weight.detach().float().numpy().T)
-        self.out = np.ascontiguousarray(surface.out.weight.detach().float().numpy().T)
+        self.out = np.ascontiguousarray(surface.out.weight.detach().float().numpy())
         self.bias = surface.out.bias.detach().float().numpy().copy()
 
     @torch.inference_mode()
@@ -49,35 +53,27 @@ class Lander:
         step = np.empty((count, 3))
         normals = np.empty((count, 3), dtype=np.float32)
         log_error = np.empty(count, dtype=np.float32)
-        codes = landing.code.astype(np.float32)
-        first = np.empty((_BLOCK * charts, codes.shape[1]), dtype=np.float32)
-        geometry = np.empty((_BLOCK * charts, _GEOMETRY), dtype=np.float32)
+        # Copied first: what comes from another process may be read-only, and torch warns of that.
+        codes = torch.from_numpy(landing.code.copy()).float().numpy()
+        sheets = _sheets(landing.axes, landing.spacing, landing.quadric, landing.T, landing.lift)
+        block = _BLOCK * charts
+        # Bits of bfloat16, which numpy and numba do not know.
+        first = np.empty((block, codes.shape[1]), dtype=np.int16)
+        ready = torch.from_numpy(first).view(torch.bfloat16)
+        terms = np.zeros((block, _TERMS), dtype=np.float32)
+        offsets = np.empty((block, _OFFSET), dtype=np.float32)
         for start in range(0, count, _BLOCK):
             part = slice(start, min(start + _BLOCK, count))
-            rows = (part.stop - start) * charts
-            _enter(
-                landing.spots[part],
-                landing.charts[part],
-                landing.points,
-                landing.axes,
-                landing.spacing,
-                landing.quadric,
-                landing.T,
-                codes,
-                self.terms,
-                first,
-                geometry,
-            )
-            with wide_products():
-                hidden = self.hidden(torch.from_numpy(first[:rows])).float().numpy()
+            rows = landing.charts[part].ravel()
+            _place(landing.spots[part], rows, landing.points, sheets, terms, offsets)
+            _enter(rows, codes, terms, self.terms, first)
+            hidden = functional.linear(ready[: len(rows)], self.hidden, self.hidden_bias)
             _leave(
-                hidden,
-                geometry,
+                hidden.view(torch.int16).numpy(),
                 landing.charts[part],
-                landing.axes,
-                landing.spacing,
-                landing.T,
-                landing.lift,
+                sheets,
+                terms,
+                offsets,
                 self.out,
                 self.bias,
                 step[part],
@@ -87,108 +83,170 @@ class Lander:
         return step, normals, log_error
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _enter(spots, charts, points, axes, spacing, quadric, T, codes, weight, first, geometry):  # type: ignore[no-untyped-def]
-    """Where each spot lies in each of its charts, and the first layer of the head there."""
-    width = codes.shape[1]
+def settle(landing: Landing, step: NDArray[np.float64], furthest: float) -> NDArray[np.float64]:
+    """Where spots come to lie, ``(m, 3)``: a step further, but near the point of their first chart.
+
+    Args:
+        landing: the spots.
+        step: ``(m, 3)`` float64.
+        furthest: distance from that point at most, in its spacings.
+    """
+    settled = np.empty_like(step)
+    home = landing.charts[:, 0]
+    _settle(landing.spots, step, home, landing.points, landing.spacing, furthest, settled)
+    return settled
+
+
+@njit(cache=True, nogil=True)
+def _settle(spots, step, home, points, spacing, furthest, settled):  # type: ignore[no-untyped-def]
     for i in range(len(spots)):
-        for c in range(charts.shape[1]):
-            chart = charts[i, c]
-            row = i * charts.shape[1] + c
-            scale = spacing[chart]
+        chart = home[i]
+        x = spots[i, 0] + step[i, 0] - points[chart, 0]
+        y = spots[i, 1] + step[i, 1] - points[chart, 1]
+        z = spots[i, 2] + step[i, 2] - points[chart, 2]
+        reach = furthest * spacing[chart]
+        far = np.sqrt(x * x + y * y + z * z)
+        shrink = reach / far if far > reach else 1.0
+        settled[i, 0] = points[chart, 0] + x * shrink
+        settled[i, 1] = points[chart, 1] + y * shrink
+        settled[i, 2] = points[chart, 2] + z * shrink
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _sheets(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
+    """What landing needs of each chart side by side, ``(n, _SHEET)`` float32.
+
+    Frame and T make one basis: its columns are the chart's tangents and normal in the world.
+    """
+    count = len(axes)
+    sheets = np.empty((count, _SHEET), dtype=np.float32)
+    for i in range(count):
+        for a in range(3):
+            for b in range(3):
+                sheets[i, 3 * b + a] = (
+                    axes[i, 0, a] * T[i, 0, b]
+                    + axes[i, 1, a] * T[i, 1, b]
+                    + axes[i, 2, a] * T[i, 2, b]
+                )
+        sheets[i, 9] = spacing[i]
+        sheets[i, 10] = np.float32(1.0) / spacing[i]
+        for a in range(6):
+            sheets[i, 11 + a] = quadric[i, a]
+        sheets[i, 17] = lift[i]
+    return sheets
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _place(spots, rows, points, sheets, terms, offsets):  # type: ignore[no-untyped-def]
+    """Where each spot lies in each of its charts."""
+    half = np.float32(0.5)
+    charts = len(rows) // len(spots)
+    for i in range(len(spots)):
+        for row in range(i * charts, (i + 1) * charts):
+            chart = rows[row]
             x = np.float32(spots[i, 0] - points[chart, 0])
             y = np.float32(spots[i, 1] - points[chart, 1])
             z = np.float32(spots[i, 2] - points[chart, 2])
-            f, t, q = axes[chart], T[chart], quadric[chart]
-            a = (f[0, 0] * x + f[0, 1] * y + f[0, 2] * z) / scale
-            b = (f[1, 0] * x + f[1, 1] * y + f[1, 2] * z) / scale
-            d = (f[2, 0] * x + f[2, 1] * y + f[2, 2] * z) / scale
-            u = a * t[0, 0] + b * t[1, 0] + d * t[2, 0]
-            v = a * t[0, 1] + b * t[1, 1] + d * t[2, 1]
-            half = np.float32(0.5)
-            height = q[1] * u + q[2] * v + half * q[3] * u * u + q[4] * u * v + half * q[5] * v * v
-            along = q[1] + q[3] * u + q[4] * v
-            across = q[2] + q[4] * u + q[5] * v
-            uu, uv, vv = u * u, u * v, v * v
-            for k in range(width):
-                value = (
-                    codes[chart, k]
-                    + weight[0, k] * u
-                    + weight[1, k] * v
-                    + weight[2, k] * uu
-                    + weight[3, k] * uv
-                    + weight[4, k] * vv
-                    + weight[5, k] * height
-                    + weight[6, k] * along
-                    + weight[7, k] * across
-                )
-                first[row, k] = max(value, np.float32(0.0))
-            g = geometry[row]
-            g[0], g[1], g[2], g[3], g[4] = u, v, height, along, across
-            g[5], g[6], g[7] = a, b, d
-            g[8] = a * a + b * b + d * d
+            inverse = sheets[chart, 10]
+            u = (sheets[chart, 0] * x + sheets[chart, 1] * y + sheets[chart, 2] * z) * inverse
+            v = (sheets[chart, 3] * x + sheets[chart, 4] * y + sheets[chart, 5] * z) * inverse
+            q1, q2 = sheets[chart, 12], sheets[chart, 13]
+            q3, q4, q5 = sheets[chart, 14], sheets[chart, 15], sheets[chart, 16]
+            terms[row, 0] = u
+            terms[row, 1] = v
+            terms[row, 2] = u * u
+            terms[row, 3] = u * v
+            terms[row, 4] = v * v
+            terms[row, 5] = q1 * u + q2 * v + half * q3 * u * u + q4 * u * v + half * q5 * v * v
+            terms[row, 6] = q1 + q3 * u + q4 * v
+            terms[row, 7] = q2 + q4 * u + q5 * v
+            offsets[row, 0], offsets[row, 1], offsets[row, 2] = x, y, z
+            offsets[row, 3] = (x * x + y * y + z * z) * inverse * inverse
+
+
+@njit(inline="always")
+def _halved(value):  # type: ignore[no-untyped-def]
+    """Bits of the bfloat16 nearest to the rectified float32, ties to even."""
+    bits = np.float32(max(value, np.float32(0.0))).view(np.int32)
+    odd = np.int32(np.int32(bits >> np.int32(16)) & np.int32(1))
+    return np.int16(np.int32(bits + np.int32(0x7FFF) + odd) >> np.int32(16))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
+    """The first layer of the head, rectified, in bits of bfloat16."""
+    for row in range(len(rows)):
+        chart = rows[row]
+        t0, t1, t2, t3 = terms[row, 0], terms[row, 1], terms[row, 2], terms[row, 3]
+        t4, t5, t6, t7 = terms[row, 4], terms[row, 5], terms[row, 6], terms[row, 7]
+        for k in range(codes.shape[1]):
+            first[row, k] = _halved(
+                codes[chart, k]
+                + weight[0, k] * t0
+                + weight[1, k] * t1
+                + weight[2, k] * t2
+                + weight[3, k] * t3
+                + weight[4, k] * t4
+                + weight[5, k] * t5
+                + weight[6, k] * t6
+                + weight[7, k] * t7
+            )
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _leave(  # type: ignore[no-untyped-def]
-    hidden, geometry, charts, axes, spacing, T, lift, weight, bias, step, normals, log_error
+    hidden, charts, sheets, terms, offsets, weight, bias, step, normals, log_error
 ):
     """The last layer, and the blend of what the charts of each spot say."""
     count = charts.shape[1]
-    steps = np.empty((count, 3), dtype=np.float32)
-    turned = np.empty((count, 3), dtype=np.float32)
-    doubt = np.empty(count, dtype=np.float32)
-    score = np.empty(count, dtype=np.float32)
+    said = np.empty((count, 8), dtype=np.float32)
+    one = np.float32(1.0)
     for i in range(len(charts)):
         best = np.float32(-np.inf)
         for c in range(count):
             chart = charts[i, c]
             row = i * count + c
-            rise, du, dv, doubt[c] = bias[0], bias[1], bias[2], bias[3]
+            rise = du = dv = doubt = np.float32(0.0)
             for k in range(hidden.shape[1]):
-                h = max(hidden[row, k], np.float32(0.0))
-                rise += h * weight[k, 0]
-                du += h * weight[k, 1]
-                dv += h * weight[k, 2]
-                doubt[c] += h * weight[k, 3]
-            doubt[c] += np.float32(LOG_ERROR)
-            g, f, t = geometry[row], axes[chart], T[chart]
-            rise += g[2] + lift[chart]
-            nu, nv = du - g[3], dv - g[4]
-            size = np.float32(1.0) / np.sqrt(nu * nu + nv * nv + np.float32(1.0))
+                bits = np.int32(np.int32(hidden[row, k]) << np.int32(16))
+                h = max(bits.view(np.float32), np.float32(0.0))
+                rise += h * weight[0, k]
+                du += h * weight[1, k]
+                dv += h * weight[2, k]
+                doubt += h * weight[3, k]
+            doubt += bias[3] + np.float32(LOG_ERROR)
+            u, v = terms[row, 0], terms[row, 1]
+            rise += bias[0] + terms[row, 5] + sheets[chart, 17]
+            nu, nv = du + bias[1] - terms[row, 6], dv + bias[2] - terms[row, 7]
+            size = one / np.sqrt(nu * nu + nv * nv + one)
+            spacing = sheets[chart, 9]
             for a in range(3):
-                steps[c, a] = 0.0
-                turned[c, a] = 0.0
-            for b in range(3):
-                moved = t[b, 0] * g[0] + t[b, 1] * g[1] + t[b, 2] * rise - g[5 + b]
-                normal = (t[b, 0] * nu + t[b, 1] * nv + t[b, 2]) * size
-                for a in range(3):
-                    steps[c, a] += moved * f[b, a] * spacing[chart]
-                    turned[c, a] += normal * f[b, a]
-            score[c] = -np.float32(FALLOFF) * g[8] - np.float32(TRUST) * doubt[c]
-            best = max(best, score[c])
-        total = np.float32(0.0)
+                t, s, n = sheets[chart, a], sheets[chart, 3 + a], sheets[chart, 6 + a]
+                said[c, a] = (t * u + s * v + n * rise) * spacing - offsets[row, a]
+                said[c, 3 + a] = (t * nu + s * nv + n) * size
+            said[c, 6] = doubt
+            score = -np.float32(FALLOFF) * offsets[row, 3] - np.float32(TRUST) * doubt
+            said[c, 7] = score
+            best = max(best, score)
+        total = x = y = z = nx = ny = nz = expected = np.float32(0.0)
         for c in range(count):
-            score[c] = np.exp(score[c] - best)
-            total += score[c]
-        x = y = z = nx = ny = nz = expected = np.float32(0.0)
-        for c in range(count):
-            w = score[c] / total
-            x += w * steps[c, 0]
-            y += w * steps[c, 1]
-            z += w * steps[c, 2]
-            expected += w * doubt[c]
-            same = (
-                turned[c, 0] * turned[0, 0]
-                + turned[c, 1] * turned[0, 1]
-                + turned[c, 2] * turned[0, 2]
-            )
+            w = np.exp(said[c, 7] - best)
+            total += w
+            x += w * said[c, 0]
+            y += w * said[c, 1]
+            z += w * said[c, 2]
+            expected += w * said[c, 6]
+            same = said[c, 3] * said[0, 3] + said[c, 4] * said[0, 4] + said[c, 5] * said[0, 5]
             if same < 0:
                 w = -w
-            nx += w * turned[c, 0]
-            ny += w * turned[c, 1]
-            nz += w * turned[c, 2]
-        step[i, 0], step[i, 1], step[i, 2] = x, y, z
+            nx += w * said[c, 3]
+            ny += w * said[c, 4]
+            nz += w * said[c, 5]
+        step[i, 0], step[i, 1], step[i, 2] = x / total, y / total, z / total
         length = max(np.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-12))
-        normals[i, 0], normals[i, 1], normals[i, 2] = nx / length, ny / length, nz / length
-        log_error[i] = expected
+        normals[i, 0], normals[i, 1], normals[i, 2] = (
+            nx / length,
+            ny / length,
+            nz / length,
+        )
+        log_error[i] = expected / total

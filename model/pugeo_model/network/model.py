@@ -8,7 +8,7 @@ import torch
 
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
-from pugeo_model.network.landing import Lander
+from pugeo_model.network.landing import Lander, settle
 from pugeo_model.network.memory import keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import PUGeoNet
@@ -74,13 +74,8 @@ class Model:
     def land(self, landing: Landing) -> Landed:
         """Put every spot on the blend of its charts."""
         step, normals, log_error = self._lander(landing)
-        spots = landing.spots
-        if not landing.fixed:
-            home = landing.points[landing.charts[:, 0]]
-            away = spots + step - home
-            reach = _FURTHEST * landing.spacing[landing.charts[:, 0]]
-            distance = np.linalg.norm(away, axis=1)
-            spots = home + away * np.minimum(1.0, reach / np.maximum(distance, 1e-300))[:, None]
+        fixed = landing.fixed
+        spots = landing.spots if fixed else settle(landing, step, _FURTHEST)
         return Landed(
             spots,
             normals,

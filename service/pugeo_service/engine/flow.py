@@ -86,46 +86,111 @@ class Flow:
         if size < LARGE_PATCHES:
             await inside.aclose()
 
-        self._watcher.on_stage("predict")
-        began = time.perf_counter()
-        charted = await self._spread(
-            size, size, "cut_patches", "predict", prepared, self._watcher.on_done
-        )
-        seconds["predict"] = time.perf_counter() - began
-
-        self._watcher.on_stage("land")
-        proposed, (landings, proposing, batches) = await self._step(
-            size, "propose", "describe_merged", prepared, charted
-        )
-        began = time.perf_counter()
-        candidates = await self._spread(size, landings, "cut_landings", "land", proposed)
-        seconds["land"] = time.perf_counter() - began
-
-        self._watcher.on_stage("merge")
-        merged, (landings, merging, _) = await self._step(
-            size, "merge", "describe_merged", prepared, charted, candidates
-        )
-        seconds["merge"] = proposing + merging
-        self._drop([proposed, *charted, *candidates])
-
-        self._watcher.on_stage("land")
-        began = time.perf_counter()
-        landed = await self._spread(size, landings, "cut_landings", "land", merged)
-        seconds["land"] += time.perf_counter() - began
-
         sheet: Sheet
-        self._watcher.on_stage("finish")
-        written, sheet = await self._step(
-            size, "finish", "describe_written", prepared, landed, order.answer
-        )
-        seconds.update(sheet.seconds)
-        self._drop([prepared, merged, *landed])
+        batches: list[tuple[float, int]] = []
+        if head.tiles == 1:
+            landed = await self._dense(prepared, size, seconds, batches)
+            self._watcher.on_stage("finish")
+            written, sheet = await self._step(
+                size, "finish", "describe_written", prepared, landed, order.answer
+            )
+            self._drop(landed)
+        else:
+            pieces = await self._tiled(prepared, head.tiles, seconds, batches)
+            self._watcher.on_stage("finish")
+            written, sheet = await self._step(
+                size, "assemble", "describe_written", prepared, pieces, order.answer
+            )
+            self._drop(pieces)
+        _add(seconds, sheet.seconds)
+        self._drop([prepared])
 
         self._watcher.on_stage("collect")
         began = time.perf_counter()
         spool = await self._collect(written, sheet)
         seconds["collect"] = time.perf_counter() - began
         return Outcome(spool, sheet.report, seconds, batches)
+
+    async def _tiled(
+        self,
+        prepared: Any,
+        tiles: int,
+        seconds: dict[str, float],
+        batches: list[tuple[float, int]],
+    ) -> list[Any]:
+        """Run the tiles of a cloud, as many at one time as there are workers.
+
+        While one of them is in a stage that one worker does alone, the others keep the rest busy.
+
+        Returns:
+            The handles of their pieces, in order.
+        """
+        pieces: list[Any] = [None] * tiles
+        numbers = iter(range(tiles))
+
+        async def lane() -> None:
+            for number in numbers:
+                tile = self._submit("cut_tile", prepared, number, priority=Lanes.FIRST)
+                head: Head
+                job, head = await self._step(
+                    LARGE_PATCHES, "prepare_tile", "describe_prepared", tile
+                )
+                self._drop([tile])
+                _add(seconds, head.seconds)
+                landed = await self._dense(job, head.patches, seconds, batches)
+                self._watcher.on_stage("finish")
+                pieces[number], spent = await self._step(
+                    LARGE_PATCHES, "finish_tile", "describe_finished", job, landed
+                )
+                _add(seconds, {"finish": spent})
+                self._drop([job, *landed])
+
+        tasks = [asyncio.create_task(lane()) for _ in range(max(1, self._pool.warm_workers))]
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        return pieces
+
+    async def _dense(
+        self,
+        prepared: Any,
+        size: int,
+        seconds: dict[str, float],
+        batches: list[tuple[float, int]],
+    ) -> list[Any]:
+        """From patches to points on the surface; return the handles of these."""
+        self._watcher.on_stage("predict")
+        began = time.perf_counter()
+        charted = await self._spread(
+            size, size, "cut_patches", "predict", prepared, self._watcher.on_done
+        )
+        _add(seconds, {"predict": time.perf_counter() - began})
+
+        self._watcher.on_stage("land")
+        proposed, (landings, proposing, ran) = await self._step(
+            size, "propose", "describe_merged", prepared, charted
+        )
+        batches += ran
+        began = time.perf_counter()
+        candidates = await self._spread(size, landings, "cut_landings", "land", proposed)
+        _add(seconds, {"land": time.perf_counter() - began})
+
+        self._watcher.on_stage("merge")
+        merged, (landings, merging, _) = await self._step(
+            size, "merge", "describe_merged", prepared, charted, candidates
+        )
+        _add(seconds, {"merge": proposing + merging})
+        self._drop([proposed, *charted, *candidates])
+
+        self._watcher.on_stage("land")
+        began = time.perf_counter()
+        landed = await self._spread(size, landings, "cut_landings", "land", merged)
+        _add(seconds, {"land": time.perf_counter() - began})
+        self._drop([merged])
+        return landed
 
     async def _step(self, size: int, stage: Stage, describe: Stage, *args: Any) -> tuple[Any, Any]:
         """Run a stage of the whole cloud; return the handle of its result and a description."""
@@ -233,3 +298,8 @@ class Flow:
         """Let results go that nothing but tasks already submitted needs."""
         self._pool.release(handles)
         self._handles.difference_update(handles)
+
+
+def _add(seconds: dict[str, float], more: dict[str, float]) -> None:
+    for stage, spent in more.items():
+        seconds[stage] = seconds.get(stage, 0.0) + spent

@@ -3,10 +3,10 @@
 
 Shortest first would let large clouds wait as long as small ones keep coming; first come first
 served would let small ones wait for large ones. So among small ones a patch more counts as seconds
-of coming later, which nobody can lose to without end; and each kind has workers of its own to count on:
-large clouds share all but one (each of their turns is one task), small ones have that one and
-whatever large clouds leave. As many large clouds begin as there are workers; the others wait on
-disk and hold no memory.
+of coming later, which nobody can lose to without end. And each kind has workers to count on: large
+clouds share all but one (each of their turns is one task), small ones have that one and whatever
+large clouds leave. As many large clouds begin as there are workers; the others wait on disk and
+hold no memory.
 """
 
 import asyncio
@@ -43,10 +43,8 @@ class Line:
             await turn
         except asyncio.CancelledError:
             # It may have been let in just when it stopped waiting.
-            if turn.done() and not turn.cancelled():
+            if not turn.cancelled():
                 self._leave()
-            else:
-                self._waiting.remove(turn)
             raise
 
     async def __aexit__(
@@ -63,8 +61,11 @@ class Line:
 
     def _admit(self) -> None:
         while self._waiting and self.inside < max(1, self._places()):
-            self.inside += 1
-            self._waiting.popleft().set_result(None)
+            turn = self._waiting.popleft()
+            # Who stopped waiting is still in the line.
+            if not turn.done():
+                self.inside += 1
+                turn.set_result(None)
 
 
 class Lanes:

@@ -56,10 +56,12 @@ class Head:
 
     Attributes:
         patches: units of work.
+        tiles: parts that go their way one by one; most clouds are one.
         seconds: time of each stage so far.
     """
 
     patches: int
+    tiles: int
     seconds: dict[str, float]
 
 
@@ -87,7 +89,8 @@ class Outcome:
     Attributes:
         spool: the bytes; whoever holds the outcome closes it.
         report: the model's report of the run.
-        seconds: wall time of each stage, in order; ``queue`` is the time waited.
+        seconds: wall time of each stage, in order; ``queue`` is the time waited. Of a cloud in
+            tiles it is the sum over tiles, several of which run side by side.
         batches: seconds and patches of each batch that the network ran.
     """
 

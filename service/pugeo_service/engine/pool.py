@@ -10,6 +10,8 @@ __all__ = ["Pool", "Stage"]
 Stage = Literal[
     "prepare",
     "describe_prepared",
+    "cut_tile",
+    "prepare_tile",
     "cut_patches",
     "predict",
     "propose",
@@ -18,6 +20,9 @@ Stage = Literal[
     "cut_landings",
     "land",
     "finish",
+    "finish_tile",
+    "describe_finished",
+    "assemble",
     "describe_written",
     "chunk",
 ]

@@ -23,21 +23,27 @@ from pugeo_service.engine.order import Head, Order, Sheet
 __all__ = [
     "Charted",
     "Cut",
+    "Finished",
     "Merged",
     "Prepared",
     "Written",
+    "assemble",
     "chunk",
     "cut_landings",
     "cut_patches",
+    "cut_tile",
+    "describe_finished",
     "describe_merged",
     "describe_prepared",
     "describe_written",
     "finish",
+    "finish_tile",
     "land",
     "load_model",
     "merge",
     "predict",
     "prepare",
+    "prepare_tile",
     "propose",
 ]
 
@@ -46,8 +52,15 @@ _CHUNK_BYTES = 8 << 20
 
 @dataclass(frozen=True)
 class Prepared:
-    """A cloud that was read and cut into patches."""
+    """A cloud that was read, or a tile of one.
 
+    Attributes:
+        plan: how the cloud is cut; ``None`` for a tile.
+        job: the tile, or the cloud where it is in one piece; ``None`` where it is not.
+        seconds: of each stage so far.
+    """
+
+    plan: Any
     job: Any
     seconds: dict[str, float]
 
@@ -78,6 +91,14 @@ class Merged:
 
 
 @dataclass(frozen=True)
+class Finished:
+    """The dense points of a tile."""
+
+    piece: Any
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Written:
     """The answer's bytes, uint8."""
 
@@ -104,13 +125,28 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     cloud = formats.read(io.BytesIO(body.data), format=order.format, limits=limits)
     _check_output(cloud, options, order.max_output_points)
     read = time.perf_counter()
-    job = pipeline.prepare(cloud, options)
-    return Prepared(job, {"read": read - start, "prepare": time.perf_counter() - read})
+    plan = pipeline.survey(cloud, options)
+    job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
+    return Prepared(plan, job, {"read": read - start, "prepare": time.perf_counter() - read})
 
 
 def describe_prepared(prepared: Prepared) -> Head:
-    """Return what the front needs to know of a prepared cloud."""
-    return Head(len(prepared.job.patches), prepared.seconds)
+    """Return what the front needs to know of a prepared cloud or tile."""
+    plan, job = prepared.plan, prepared.job
+    patches = plan.report["patches"] if job is None else len(job.patches)
+    return Head(patches, 1 if job is not None else len(plan.cuts), prepared.seconds)
+
+
+def cut_tile(prepared: Prepared, number: int) -> Any:
+    """Return a tile, so that only it travels to the worker that prepares it."""
+    return prepared.plan.tile(number)
+
+
+def prepare_tile(tile: Any) -> Prepared:
+    """Cut a tile into patches."""
+    start = time.perf_counter()
+    job = pipeline.prepare(tile)
+    return Prepared(None, job, {"prepare": time.perf_counter() - start})
 
 
 def cut_patches(prepared: Prepared, start: int, stop: int) -> Cut:
@@ -165,12 +201,33 @@ def land(landings: Sequence[Any], model: str) -> list[Any]:
 
 def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:
     """Finish the dense cloud and write it in the format ``answer``."""
+    part = finish_tile(prepared, batches)
+    return assemble(prepared, [part], answer)
+
+
+def finish_tile(prepared: Prepared, batches: Sequence[list[Any]]) -> Finished:
+    """Finish the dense points of a tile."""
     start = time.perf_counter()
-    result = pipeline.finish(prepared.job, [landed for batch in batches for landed in batch])
+    piece = pipeline.finish(prepared.job, [landed for batch in batches for landed in batch])
+    return Finished(piece, time.perf_counter() - start)
+
+
+def describe_finished(finished: Finished) -> float:
+    """Return the seconds that finishing a tile took."""
+    return finished.seconds
+
+
+def assemble(prepared: Prepared, parts: Sequence[Finished], answer: str) -> Written:
+    """Put the tiles of a cloud together and write it in the format ``answer``."""
+    start = time.perf_counter()
+    result = pipeline.assemble(prepared.plan, [part.piece for part in parts])
     finished = time.perf_counter()
     buffer = io.BytesIO()
     formats.write(result.cloud, buffer, format=answer)
-    seconds = {"finish": finished - start, "write": time.perf_counter() - finished}
+    seconds = {
+        "finish": finished - start + (parts[0].seconds if len(parts) == 1 else 0.0),
+        "write": time.perf_counter() - finished,
+    }
     data = np.frombuffer(buffer.getbuffer(), np.uint8)
     return Written(data, result.report, seconds)
 

@@ -322,5 +322,5 @@ def test_notes_reach_the_report(parse: Parse) -> None:
         [("vertex", XYZ, points.tolist()), ("face", ["list uchar int vertex_indices"], [[[0]]])],
         points,
     )
-    job = pipeline.prepare(parse(habit.file()), pipeline.Options(ratio=2.0))
-    assert any("faces are dropped" in note for note in job.report["notes"])
+    plan = pipeline.survey(parse(habit.file()), pipeline.Options(ratio=2.0))
+    assert any("faces are dropped" in note for note in plan.report["notes"])

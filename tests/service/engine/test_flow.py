@@ -40,6 +40,7 @@ class Recorder:
     patches: int
     seconds: Callable[[Handle], float] = lambda _: 0.0
     fails: str = ""
+    tiles: int = 1
     handles: list[Handle] = field(default_factory=list)
     running: int = 0
     most_running: int = 0
@@ -79,9 +80,14 @@ class Recorder:
 
     async def fetch(self, handle: Handle) -> Any:
         await asyncio.sleep(0)
+        if handle.args and getattr(handle.args[0], "stage", None) == self.fails:
+            raise KeyError(self.fails)
         match handle.stage:
             case "describe_prepared":
-                return Head(self.patches, {"read": 0.0, "prepare": 0.0})
+                whole = handle.args[0].stage == "prepare"
+                return Head(self.patches, self.tiles if whole else 1, {"prepare": 1.0})
+            case "describe_finished":
+                return 1.0
             case "describe_merged":
                 return self.patches, 0.0, [(0.1, 2)]
             case "describe_written":
@@ -130,6 +136,33 @@ def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
         charted = pool.of(stage)[0].args[1]
         assert [handle.args[0].args[1:] for handle in charted] == cuts
     assert data == b"012"
+
+
+def test_a_cloud_in_tiles(tmp_path: Path) -> None:
+    """Each tile goes its way once, as many at a time as there are workers; then they are joined."""
+    pool = Recorder(9, seconds=lambda _: 0.001, tiles=5)
+    outcome, data = run(pool, tmp_path)
+    assert data == b"012"
+    (joined,) = pool.of("assemble")
+    assert [piece.stage for piece in joined.args[1]] == ["finish_tile"] * 5
+    tiles = [piece.args[0].args[0] for piece in joined.args[1]]
+    assert [tile.args[1] for tile in tiles] == list(range(5))
+    assert not pool.of("finish")
+    stages = [handle.stage for handle in pool.handles if handle.stage.endswith("_tile")]
+    assert stages[:2] == ["cut_tile", "prepare_tile"]
+    assert outcome.seconds["prepare"] == 6.0
+    assert len(outcome.batches) == 5
+    assert not any(handle.live for handle in pool.handles)
+
+
+@pytest.mark.parametrize("stage", ["predict", "prepare_tile"])
+def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
+    """Its error is the cloud's, and the other tiles are given back."""
+    pool = Recorder(9, fails=stage, tiles=5)
+    with pytest.raises(KeyError, match=stage):
+        run(pool, tmp_path)
+    assert pool.running == 0
+    assert not any(handle.live for handle in pool.handles)
 
 
 def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:

@@ -71,6 +71,24 @@ def test_who_leaves_the_line_takes_no_place() -> None:
     asyncio.run(main())
 
 
+def test_who_stopped_waiting_is_passed_over() -> None:
+    """Also where the place becomes free before anybody has heard of it."""
+
+    async def main() -> None:
+        line = Line(lambda: 1)
+        await line.__aenter__()
+        gone, stays = (asyncio.create_task(line.__aenter__()) for _ in range(2))
+        await asyncio.sleep(0)
+        gone.cancel()
+        await line.__aexit__(None, None, None)
+        await stays
+        assert line.inside == 1
+        await line.__aexit__(None, None, None)
+        assert line.inside == 0
+
+    asyncio.run(main())
+
+
 def test_ranks() -> None:
     """Requests before jobs, small before large, and then who came first."""
     small, large = 1, LARGE_PATCHES

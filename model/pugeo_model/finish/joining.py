@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signs of normals across the borders of tiles.
+
+Within a tile neighbours agree already. Points in the margin of one tile are in the core of
+another, so both say which way their normals point: where they contradict each other, one of the
+two is turned over, along a spanning tree that trusts most whom most points vouch for.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+
+from pugeo_model.finish.outside import Evidence, gather, outward
+from pugeo_model.finish.spanning import dots, hand_on, relative_signs, span
+
+__all__ = ["Sides", "signs_of_parts", "take_sides"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """What a tile knows of the sides of its ``n`` sparse points.
+
+    Attributes:
+        rows: ``(n,)`` int32 rows in the whole cloud.
+        core: ``(n,)`` which points are in no other tile's core.
+        normals: ``(n, 3)``, consistent within each part.
+        parts: ``(n,)`` connected part of each, numbered from 0.
+        evidence: of the parts, by the points of the core.
+    """
+
+    rows: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    normals: NDArray[np.float32]
+    parts: NDArray[np.intp]
+    evidence: Evidence
+
+
+def take_sides(
+    rows: NDArray[np.int32],
+    core: NDArray[np.bool_],
+    points: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    neighbours: NDArray[np.integer[Any]],
+) -> Sides:
+    """Let the normals of a tile agree among themselves.
+
+    Args:
+        rows: ``(n,)`` int32 rows in the whole cloud.
+        core: ``(n,)``.
+        points: ``(n, 3)``, unit scale of the whole cloud.
+        normals: ``(n, 3)`` float32 unit, of any sign.
+        neighbours: ``(n, k)`` rows of the tile.
+    """
+    signs, parts = relative_signs(points, normals, neighbours)
+    agreed = normals * signs[:, None].astype(np.float32)
+    evidence = gather(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
+    return Sides(rows, core, agreed, parts, evidence)
+
+
+def signs_of_parts(tiles: Sequence[Sides]) -> list[NDArray[np.float64]]:
+    """Signs, for each tile those of its parts, by which all normals point outward together."""
+    sizes = [len(tile.evidence.count) for tile in tiles]
+    first = np.cumsum([0, *sizes])
+    total = int(first[-1])
+    if len(tiles) == 1:
+        groups, signs = np.arange(total), np.ones(total)
+    else:
+        left, right, votes = _votes(tiles, first)
+        # Many points that agree (or disagree) well make a short edge.
+        graph = coo_array((1.0 / (1e-3 + np.abs(votes)), (left, right)), shape=(total, total))
+        parents, groups = span(graph.tocsr())
+        signs = hand_on(parents, _along(parents, left, right, votes))
+    joined = Evidence.join([tile.evidence for tile in tiles])
+    signs = signs * outward(joined, groups, signs)[groups]
+    return np.split(signs, first[1:-1])
+
+
+def _votes(
+    tiles: Sequence[Sides], first: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Pairs of parts (the lower first) that share points, and how far these agree: cosines, summed.
+
+    Returns:
+        Both parts, numbered across tiles, and the sum of each pair.
+    """
+    count = max(int(tile.rows.max()) for tile in tiles) + 1
+    owner = np.zeros(count, dtype=np.intp)
+    normals = np.zeros((count, 3), dtype=np.float32)
+    for tile, start in zip(tiles, first, strict=False):
+        mine = tile.rows[tile.core]
+        owner[mine] = start + tile.parts[tile.core]
+        normals[mine] = tile.normals[tile.core]
+    pairs, cosines = [], []
+    for tile, start in zip(tiles, first, strict=False):
+        shared = tile.rows[~tile.core]
+        here = start + tile.parts[~tile.core]
+        there = owner[shared]
+        pairs.append(np.minimum(here, there) * first[-1] + np.maximum(here, there))
+        cosines.append(dots(tile.normals[~tile.core], normals[shared]).astype(np.float64))
+    found, which = np.unique(np.concatenate(pairs), return_inverse=True)
+    votes = np.zeros(len(found))
+    np.add.at(votes, which, np.concatenate(cosines))
+    return found // first[-1], found % first[-1], votes
+
+
+def _along(
+    parents: NDArray[np.intp],
+    left: NDArray[np.intp],
+    right: NDArray[np.intp],
+    votes: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The vote between each node and its parent; a root has none."""
+    found = np.ones(len(parents))
+    for one, other in ((left, right), (right, left)):
+        child = parents[one] == other
+        found[one[child]] = votes[child]
+    return found

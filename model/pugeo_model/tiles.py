@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A large cloud in tiles: memory and time then grow with the cloud no faster than its size.
+
+A tile is a compact part of the cloud, its core, and a margin around it as wide as anything reaches
+that decides on points of the core. It goes the whole way of a cloud by itself; only what belongs
+to its core is kept. A cloud that is small enough is one tile without a margin.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.chunks import chunks
+from pugeo_model.geometry.frames import fit_frames
+from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
+from pugeo_model.normalise import Placement
+
+__all__ = ["Cut", "Tile", "cut_tiles"]
+
+_POINTS_OUT = 1 << 18  # of a tile's core: what a worker holds at one time
+_FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core
+# A cloud this much larger than a core stays in one piece: margins would cost more than they save.
+_WHOLE = 1.5
+# In spacings. With 6 a sphere in tiles is as even as in one piece, with 5 it shows where they meet:
+# that far the blend of charts, their messages and the even spread of points reach in effect.
+_MARGIN = 7.0
+_SAMPLED = 2048  # points at which a tile's spacing is measured
+_SURVEYED = 8  # tiles in which the noise is measured
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Which points make up a tile.
+
+    Attributes:
+        rows: ``(n,)`` int32 rows of the cloud, the core's first.
+        core: how many are the core's.
+        n_out: points of the answer that the tile gives.
+    """
+
+    rows: NDArray[np.int32]
+    core: int
+    n_out: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """Part of a cloud, ready to go its way.
+
+    Attributes:
+        cloud: the input points, those of the core first.
+        points: ``(n, 3)`` float64, in the unit scale of the whole cloud.
+        rows: ``(n,)`` int32, rows in the cleaned cloud.
+        core: how many lead that belong to no other tile.
+        n_out: points of the answer that the tile gives.
+        candidates: candidates a chart.
+        keeps_input: the points of the core come back themselves, and the rest is spread among them.
+        noise: median residual of the whole cloud, or ``None`` where the tile is the whole.
+        placement: offset and scale taken out.
+        orient: how normals get their signs, never ``auto``.
+        viewpoint: in the cloud's own frame and units.
+        centroid: ``(3,)`` of the whole cloud, unit scale.
+        seed: decides between points that are as good as each other.
+    """
+
+    cloud: Cloud
+    points: NDArray[np.float64]
+    rows: NDArray[np.int32]
+    core: int
+    n_out: int
+    candidates: int
+    keeps_input: bool
+    noise: float | None
+    placement: Placement
+    orient: str
+    viewpoint: tuple[float, float, float] | None
+    centroid: NDArray[np.float64]
+    seed: int
+
+
+def cut_tiles(
+    points: NDArray[np.float64], n_out: int, size: int | None = None
+) -> tuple[list[Cut], float | None]:
+    """Cut a cloud into tiles.
+
+    Args:
+        points: ``(M, 3)``.
+        n_out: points of the answer; each tile gives its share, and all together give them exactly.
+        size: input points of a core at most; by default as many as ``n_out`` allows.
+
+    Returns:
+        The tiles, whose cores partition the cloud, and the cloud's noise, which one tile alone
+        cannot know: see :class:`Frames`. ``None`` for a cloud in one piece.
+    """
+    count = len(points)
+    if size is None:
+        size = min(max(_POINTS_OUT * count // n_out, _FEWEST), _MOST)
+    if count <= _WHOLE * size:
+        return [Cut(np.arange(count, dtype=np.int32), count, n_out)], None
+    cores = chunks(points, size)
+    margins = _margins(points, cores)
+    ends = [n_out * at // count for at in np.cumsum([0] + [len(core) for core in cores]).tolist()]
+    cuts = [
+        Cut(np.concatenate([core, margin]), len(core), stop - start)
+        for core, margin, (start, stop) in zip(
+            cores, margins, itertools.pairwise(ends), strict=True
+        )
+    ]
+    return cuts, _noise(points, cuts[:: -(-len(cuts) // _SURVEYED)])
+
+
+def _margins(
+    points: NDArray[np.float64], cores: list[NDArray[np.int32]]
+) -> list[NDArray[np.int32]]:
+    """Rows of the points around each core, from the cores that its widened box touches."""
+    low = np.array([points[core].min(axis=0) for core in cores])
+    high = np.array([points[core].max(axis=0) for core in cores])
+    width = np.array([_MARGIN * _typical_spacing(points[core]) for core in cores])[:, None]
+    found = []
+    for tile in range(len(cores)):
+        reach_low, reach_high = low[tile] - width[tile], high[tile] + width[tile]
+        touched = ((low <= reach_high) & (high >= reach_low)).all(axis=1)
+        touched[tile] = False
+        around = [np.empty(0, dtype=np.int32)]
+        for other in np.flatnonzero(touched):
+            there = points[cores[other]]
+            inside = ((there >= reach_low) & (there <= reach_high)).all(axis=1)
+            around.append(cores[other][inside])
+        found.append(np.concatenate(around))
+    return found
+
+
+def _typical_spacing(points: NDArray[np.float64]) -> float:
+    """A spacing that nine in ten points do not exceed."""
+    some = points[:: max(1, len(points) // _SAMPLED)]
+    distances, _ = knn(cKDTree(points), some, SPACING_NEIGHBOURS + 1)
+    return float(np.quantile(distances[:, 1:].mean(axis=1), 0.9))
+
+
+def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
+    """The median residual over points of some tiles."""
+    found = []
+    for cut in cuts:
+        here = points[cut.rows]
+        some = np.arange(0, cut.core, max(1, cut.core // _SAMPLED))
+        distances, rows = knn(cKDTree(here), here[some], NEIGHBOURS + 1)
+        # Frames are those of the leading rows, so the sampled points are put there once more.
+        near = (rows[:, 1:] + len(some)).astype(np.int32)
+        stacked = np.concatenate([here[some], here])
+        frames = fit_frames(stacked, near, spacing(distances[:, 1:].astype(np.float32)))
+        found.append(frames.residual[: len(some)])
+    return float(np.median(np.concatenate(found)))

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A cloud in tiles comes out as it would in one piece."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from pugeo_model import Cloud
+from pugeo_model.finish.joining import signs_of_parts, take_sides
+from pugeo_model.geometry.neighbours import nearest
+from pugeo_model.metrics.clouds import evenness
+from pugeo_model.pipeline import (
+    Options,
+    Upsampler,
+    assemble,
+    finish,
+    land,
+    merge,
+    predict,
+    prepare,
+    propose,
+    survey,
+)
+from pugeo_model.tiles import cut_tiles
+from pugeo_model.training.corpus import poisson_disk
+
+SIZE = 1200
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The released model."""
+    torch.set_num_threads(1)
+    return Upsampler().model
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """An even sphere of 4,000 points."""
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 121), np.linspace(0, np.pi, 61))
+    at = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
+    rows = np.arange(121 * 61).reshape(61, 121)
+    one, two, three, four = (
+        part.ravel() for part in (rows[:-1, :-1], rows[1:, :-1], rows[:-1, 1:], rows[1:, 1:])
+    )
+    faces = np.concatenate([np.stack([one, two, three], 1), np.stack([three, two, four], 1)])
+    points = poisson_disk(at.reshape(-1, 3), faces, 4000, np.random.default_rng(0))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def dense(model, cloud, options, size=None):
+    """The whole way, in tiles of at most ``size``."""
+    plan = survey(cloud, options, size)
+    pieces = []
+    for number in range(len(plan.cuts)):
+        job = prepare(plan.tile(number))
+        charts = [predict(model, patch, job.candidates) for patch in job.patches]
+        landed = [land(model, part) for part in propose(job, charts)]
+        pieces.append(finish(job, [land(model, part) for part in merge(job, charts, landed)]))
+    return assemble(plan, pieces)
+
+
+def test_cores_partition_the_cloud(ball):
+    """Every point is in one core; margins hold all within reach; shares of the answer add up."""
+    cuts, noise = cut_tiles(ball, 16_001, SIZE)
+    assert len(cuts) == 4
+    cores = [cut.rows[: cut.core] for cut in cuts]
+    np.testing.assert_array_equal(np.sort(np.concatenate(cores)), np.arange(4000))
+    assert sum(cut.n_out for cut in cuts) == 16_001
+    assert noise is not None
+    assert noise < 0.02
+    spacing = nearest(ball)[0][:, :8].mean()
+    for cut in cuts:
+        near = cKDTree(ball[cut.rows[: cut.core]]).query(ball)[0] < 6 * spacing
+        assert set(np.flatnonzero(near)) <= set(cut.rows)
+        assert len(np.unique(cut.rows)) == len(cut.rows)
+
+
+def test_small_clouds_stay_whole(ball):
+    """A margin that costs more than it saves is not made."""
+    cuts, noise = cut_tiles(ball, 16_000)
+    assert [(cut.core, cut.n_out) for cut in cuts] == [(4000, 16_000)]
+    assert noise is None
+
+
+def test_no_seam_shows(model, ball):
+    """As even as in one piece, nowhere two points on top of each other, all normals outward."""
+    whole = dense(model, Cloud(ball), Options(4.0)).cloud
+    tiled = dense(model, Cloud(ball), Options(4.0), SIZE).cloud
+    assert len(tiled) == 16_000
+    assert evenness(tiled.points) < 1.03 * evenness(whole.points)
+    apart = [cKDTree(c.points).query(c.points, k=[2])[0] for c in (whole, tiled)]
+    assert apart[1].min() > 0.9 * apart[0].min()
+    assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
+    assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.01, 2.5])
+def test_the_input_is_kept(model, ball, ratio):
+    """Bit for bit and in its order, whatever tile a point was in; the rest lies between."""
+    height = ball[:, 2].astype(np.float32)
+    cloud = Cloud(ball, scalars={"height": height})
+    result = dense(model, cloud, Options(ratio, keep_input=True), SIZE)
+    assert len(result.cloud) == int(np.floor(ratio * 4000 + 0.5))
+    assert result.cloud.points[:4000].tobytes() == ball.tobytes()
+    np.testing.assert_array_equal(result.cloud.scalars["height"][:4000], height)
+    inward = np.einsum("ij,ij->i", result.cloud.normals, result.cloud.points) < 0
+    assert not inward.any()
+    assert result.report["tiles"] == 4
+
+
+@pytest.mark.parametrize("orient", ["viewpoint", "outward", "input", "none"])
+def test_signs_that_need_no_neighbours(model, ball, orient):
+    """Each method means the same in tiles, far from the origin too."""
+    offset = np.array([5e5, 1e6, 30.0])
+    cloud = Cloud(ball + offset, normals=(-ball).astype(np.float32))
+    options = Options(2.0, orient=orient, viewpoint=tuple(offset))
+    result = dense(model, cloud, options, SIZE)
+    outside = np.einsum("ij,ij->i", result.cloud.normals, result.cloud.points - offset) > 0
+    expected = {"viewpoint": 0.0, "outward": 1.0, "input": 0.0}
+    if orient in expected:
+        assert outside.mean() == expected[orient]
+    assert result.report["orient"] == orient
+
+
+def test_signs_across_tiles():
+    """Tiles that contradict each other are turned over until all agree; parts stay apart."""
+    rng = np.random.default_rng(3)
+    shells = [rng.normal(size=(1500, 3)) for _ in range(2)]
+    shells = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in shells]
+    points = np.concatenate([shells[0], 0.3 * shells[1] + [4.0, 0, 0]])
+    true = np.concatenate(shells)
+    order = rng.permutation(3000)
+    points, true = points[order], true[order]
+    sides = []
+    for cut in cut_tiles(points, 3000, 500)[0]:
+        rows = cut.rows
+        mixed = true[rows] * rng.choice([-1.0, 1.0], (len(rows), 1))
+        core = np.arange(len(rows)) < cut.core
+        near = nearest(points[rows])[1][:, :12]
+        sides.append(take_sides(rows, core, points[rows], mixed.astype(np.float32), near))
+    assert len(sides) > 4
+    for side, signs in zip(sides, signs_of_parts(sides), strict=True):
+        agreed = side.normals * signs[side.parts, None]
+        assert (np.einsum("ij,ij->i", agreed, true[side.rows])[side.core] > 0).mean() > 0.99
