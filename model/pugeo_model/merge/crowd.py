@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 __all__ = ["by_chart", "crowd"]
 
+_WORD = 8  # flags looked at together
 
-def by_chart(owner: NDArray[np.int32], charts: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Samples sorted by chart: starts ``(charts + 1,)`` and sample rows ``(K,)``."""
+
+def by_chart(owner: NDArray[np.int32], charts: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Samples sorted by chart: starts ``(charts + 1,)`` and sample rows ``(K,)``, ascending."""
     start = np.zeros(charts + 1, dtype=np.int64)
-    np.cumsum(np.bincount(owner, minlength=charts), out=start[1:])
-    return start, np.argsort(owner, kind="stable")
+    order = np.empty(len(owner), dtype=np.int32)
+    _sort(owner, start, order)
+    return start, order
 
 
 def crowd(
@@ -39,13 +42,25 @@ def crowd(
         ``(K, most)`` int32 rows, ``-1`` beyond the end of a list.
     """
     start, order = by_chart(owner, len(neighbours))
-    found = np.full((len(samples), most), -1, dtype=np.int32)
-    _crowd(samples, owner, neighbours, reach, start, order, samples[order], found)
+    found = np.empty((len(samples), most), dtype=np.int32)
+    _crowd(samples, neighbours, reach, start, order, found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _spheres(start, samples):  # type: ignore[no-untyped-def]
+def _sort(owner, start, order):  # type: ignore[no-untyped-def]
+    for chart in owner:
+        start[chart + 1] += 1
+    for chart in range(1, len(start)):
+        start[chart] += start[chart - 1]
+    fill = start[:-1].copy()
+    for i in range(len(owner)):
+        order[fill[owner[i]]] = i
+        fill[owner[i]] += 1
+
+
+@njit(cache=True, nogil=True)
+def _spheres(start, order, samples):  # type: ignore[no-untyped-def]
     """Centre and radius of what each chart holds, so that most charts are passed at one look."""
     charts = len(start) - 1
     spheres = np.zeros((charts, 4))
@@ -54,45 +69,98 @@ def _spheres(start, samples):  # type: ignore[no-untyped-def]
         if first == last:
             spheres[chart, 3] = -np.inf
             continue
-        for a in range(3):
-            total = 0.0
-            for at in range(first, last):
-                total += samples[at, a]
-            spheres[chart, a] = total / (last - first)
-        most = 0.0
+        x = y = z = most = 0.0
         for at in range(first, last):
-            d = 0.0
-            for a in range(3):
-                d += (samples[at, a] - spheres[chart, a]) ** 2
-            most = max(most, d)
-        # The rounding of the centre must not cost a neighbour.
-        spheres[chart, 3] = np.sqrt(most) * (1.0 + 1e-9)
+            x += samples[order[at], 0]
+            y += samples[order[at], 1]
+            z += samples[order[at], 2]
+        x /= last - first
+        y /= last - first
+        z /= last - first
+        for at in range(first, last):
+            a = samples[order[at], 0] - x
+            b = samples[order[at], 1] - y
+            c = samples[order[at], 2] - z
+            most = max(most, a * a + b * b + c * c)
+        spheres[chart, 0], spheres[chart, 1], spheres[chart, 2] = x, y, z
+        # Rounding must not cost a neighbour, here or where distances are float32.
+        spheres[chart, 3] = np.sqrt(most) * (1.0 + 1e-6)
     return spheres
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _flag(x, y, z, limit, count, xs, ys, zs, within):  # type: ignore[no-untyped-def]
+    """Which of the leading ``count`` samples are within the limit: a loop without a branch."""
+    for at in range(count):
+        a = xs[at] - x
+        b = ys[at] - y
+        c = zs[at] - z
+        within[at] = a * a + b * b + c * c < limit
+
+
 @njit(cache=True, nogil=True)
-def _crowd(samples, owner, neighbours, reach, start, order, by_chart, found):  # type: ignore[no-untyped-def]
-    k = neighbours.shape[1]
+def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-untyped-def]
+    """All samples of a chart look at one list, gathered once, of what the charts around it hold.
+
+    Places in it are float32 and relative to the chart: distances lose nothing that matters, and
+    the processor takes sixteen at a time.
+    """
+    charts, k = neighbours.shape
     most = found.shape[1]
-    spheres = _spheres(start, by_chart)
-    for i in range(len(samples)):
-        x, y, z = samples[i, 0], samples[i, 1], samples[i, 2]
-        limit = reach[i] * reach[i]
-        filled = 0
+    spheres = _spheres(start, order, samples)
+    longest = np.int64(0)
+    for chart in range(charts):
+        total = start[chart + 1] - start[chart]
+        for near in range(k):
+            total += start[neighbours[chart, near] + 1] - start[neighbours[chart, near]]
+        longest = max(longest, total)
+    longest += 2 * _WORD
+    xs = np.empty(longest, dtype=np.float32)
+    ys = np.empty(longest, dtype=np.float32)
+    zs = np.empty(longest, dtype=np.float32)
+    rows = np.empty(longest, dtype=np.int32)
+    # One flag a sample; eight of them are one word, and most words are zero.
+    words = np.zeros(longest // _WORD, dtype=np.uint64)
+    within = words.view(np.uint8)
+    for chart in range(charts):
+        first, last = start[chart], start[chart + 1]
+        if first == last:
+            continue
+        centre = spheres[chart, 0], spheres[chart, 1], spheres[chart, 2]
+        widest = 0.0
+        for at in range(first, last):
+            widest = max(widest, reach[order[at]])
+        widest += spheres[chart, 3]
+        count = 0
         for near in range(-1, k):
-            chart = owner[i] if near < 0 else neighbours[owner[i], near]
-            a = spheres[chart, 0] - x
-            b = spheres[chart, 1] - y
-            c = spheres[chart, 2] - z
-            far = max(spheres[chart, 3] + reach[i], 0.0)
+            other = chart if near < 0 else neighbours[chart, near]
+            a = spheres[other, 0] - centre[0]
+            b = spheres[other, 1] - centre[1]
+            c = spheres[other, 2] - centre[2]
+            far = max(spheres[other, 3] + widest, 0.0)
             if a * a + b * b + c * c > far * far:
                 continue
-            for at in range(start[chart], start[chart + 1]):
-                a = by_chart[at, 0] - x
-                b = by_chart[at, 1] - y
-                c = by_chart[at, 2] - z
-                if a * a + b * b + c * c < limit:
-                    j = order[at]
-                    if j != i and filled < most:
-                        found[i, filled] = j
+            for at in range(start[other], start[other + 1]):
+                j = order[at]
+                rows[count] = j
+                xs[count] = samples[j, 0] - centre[0]
+                ys[count] = samples[j, 1] - centre[1]
+                zs[count] = samples[j, 2] - centre[2]
+                count += 1
+        within[count : count + _WORD] = 0
+        # The chart's own samples lead the list.
+        for own in range(last - first):
+            i = rows[own]
+            limit = np.float32(reach[i] * reach[i])
+            _flag(xs[own], ys[own], zs[own], limit, count, xs, ys, zs, within)
+            within[own] = 0
+            filled = 0
+            for word in range((count + _WORD - 1) // _WORD):
+                if words[word] == 0:
+                    continue
+                for at in range(word * _WORD, word * _WORD + _WORD):
+                    if within[at] and filled < most:
+                        found[i, filled] = rows[at]
                         filled += 1
+            for at in range(filled, most):
+                found[i, at] = -1

@@ -12,7 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 __all__ = ["eliminate", "reach_of_share"]
+
 _LIMIT, _LIMIT_POWER = 0.65, 1.5
+_DRAWER_BITS = 14  # of a float32 that do not matter for its drawer: 512 drawers an octave
 
 
 def reach_of_share(area: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -68,32 +70,35 @@ def _weight(points, reach, floor, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _heavier(key, a, b):  # type: ignore[no-untyped-def]
-    return key[a] > key[b] or (key[a] == key[b] and a < b)
-
-
-@njit(cache=True, nogil=True)
-def _sift_down(heap, place, key, size, at):  # type: ignore[no-untyped-def]
-    item = heap[at]
+def _sift_down(keys, rows, size, at):  # type: ignore[no-untyped-def]
+    key, row = keys[at], rows[at]
     while True:
         child = 2 * at + 1
         if child >= size:
             break
-        if child + 1 < size and _heavier(key, heap[child + 1], heap[child]):
-            child += 1
-        if not _heavier(key, heap[child], item):
+        other = child + 1
+        if other < size and (
+            keys[other] > keys[child] or (keys[other] == keys[child] and rows[other] < rows[child])
+        ):
+            child = other
+        if keys[child] < key or (keys[child] == key and rows[child] > row):
             break
-        heap[at] = heap[child]
-        place[heap[at]] = at
+        keys[at], rows[at] = keys[child], rows[child]
         at = child
-    heap[at] = item
-    place[item] = at
+    keys[at], rows[at] = key, row
+
+
+@njit(inline="always")
+def _drawer(key):  # type: ignore[no-untyped-def]
+    """Number of the drawer of a key: never lower for a heavier key, and finer for light ones."""
+    bits = np.float32(key if key > 0.0 else 0.0).view(np.int32)
+    return bits >> np.int32(_DRAWER_BITS)
 
 
 @njit(cache=True, nogil=True)
-def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: ignore[no-untyped-def]
+def _listed_by(neighbours):  # type: ignore[no-untyped-def]
+    """Who lists each candidate: starts ``(C + 1,)`` and rows. Lists are not always mutual."""
     count, k = neighbours.shape
-    # Who lists me: a removal must lighten those, and lists are not always mutual.
     start = np.zeros(count + 1, dtype=np.int64)
     for i in range(count):
         for j in range(k):
@@ -101,34 +106,81 @@ def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: i
                 start[neighbours[i, j] + 1] += 1
     for i in range(count):
         start[i + 1] += start[i]
-    listed_by = np.empty(start[count], dtype=np.int32)
+    rows = np.empty(start[count], dtype=np.int32)
     fill = start[:-1].copy()
-    key = burden.copy()
     for i in range(count):
         for j in range(k):
             other = neighbours[i, j]
             if other >= 0:
-                listed_by[fill[other]] = i
+                rows[fill[other]] = i
                 fill[other] += 1
-                key[i] += _weight(points, reach, floor, i, other)
-    heap = np.arange(count)
-    place = np.arange(count)
-    for at in range(count // 2 - 1, -1, -1):
-        _sift_down(heap, place, key, count, at)
+    return start, rows
+
+
+@njit(cache=True, nogil=True)
+def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: ignore[no-untyped-def]
+    """Remove the heaviest until there is no surplus.
+
+    Keys only ever fall, so the heaviest are found drawer by drawer, and a candidate that has
+    become lighter is put where it belongs only when it is met: a heap of all, kept in order at
+    every change, takes twice as long.
+    """
+    count, k = neighbours.shape
+    start, listed_by = _listed_by(neighbours)
+    key = burden.copy()
+    for i in range(count):
+        for j in range(k):
+            if neighbours[i, j] >= 0:
+                key[i] += _weight(points, reach, floor, i, neighbours[i, j])
+    top = 0
+    for i in range(count):
+        top = max(top, _drawer(key[i]))
+    # Drawers are linked lists: the first of each, and the next after each candidate.
+    first = np.full(top + 1, -1, dtype=np.int32)
+    after = np.empty(count, dtype=np.int32)
+    for i in range(count - 1, -1, -1):
+        drawer = _drawer(key[i])
+        after[i] = first[drawer]
+        first[drawer] = i
+    keys = np.empty(count)
+    rows = np.empty(count, dtype=np.int32)
     alive = np.ones(count, dtype=np.bool_)
-    size = count
     while surplus > 0:
-        top = heap[0]
-        alive[top] = False
-        surplus -= counted[top]
-        size -= 1
-        heap[0] = heap[size]
-        place[heap[0]] = 0
-        if size:
-            _sift_down(heap, place, key, size, 0)
-        for at in range(start[top], start[top + 1]):
-            other = listed_by[at]
-            if alive[other]:
-                key[other] -= _weight(points, reach, floor, other, top)
-                _sift_down(heap, place, key, size, place[other])
+        # The highest drawer, as a heap of what still belongs there.
+        size = 0
+        row = first[top]
+        while row >= 0:
+            following = after[row]
+            drawer = _drawer(key[row])
+            if drawer == top:
+                keys[size], rows[size] = key[row], row
+                size += 1
+            else:
+                after[row] = first[drawer]
+                first[drawer] = row
+            row = following
+        for at in range(size // 2 - 1, -1, -1):
+            _sift_down(keys, rows, size, at)
+        while size > 0 and surplus > 0:
+            row = rows[0]
+            now = key[row]
+            drawer = _drawer(now)
+            if drawer == top and now < keys[0]:
+                keys[0] = now
+                _sift_down(keys, rows, size, 0)
+                continue
+            size -= 1
+            keys[0], rows[0] = keys[size], rows[size]
+            _sift_down(keys, rows, size, 0)
+            if drawer < top:
+                after[row] = first[drawer]
+                first[drawer] = row
+                continue
+            alive[row] = False
+            surplus -= counted[row]
+            for at in range(start[row], start[row + 1]):
+                other = listed_by[at]
+                if alive[other]:
+                    key[other] -= _weight(points, reach, floor, other, row)
+        top -= 1
     return alive

@@ -28,53 +28,79 @@ def repel(
         reach: ``(K,)`` distance of neighbours in the packing aimed at.
         rounds: how often.
     """
-    now = samples.copy()
+    beside = np.empty_like(neighbours)
+    _beside(normals, neighbours, beside)
+    now, after = samples.copy(), np.empty_like(samples)
     for _ in range(rounds):
-        after = now.copy()
-        _push(now, normals, neighbours, reach, after)
-        now = after
+        _push(now, normals, beside, reach, after)
+        now, after = after, now
     return now
 
 
 @njit(cache=True, nogil=True)
+def _beside(normals, neighbours, beside):  # type: ignore[no-untyped-def]
+    """Neighbours on the same sheet of the surface, ``-1`` beyond the end of a list.
+
+    Both sides of a thin wall are near each other, but not neighbours on the surface.
+    """
+    count, k = neighbours.shape
+    for i in range(count):
+        filled = 0
+        for at in range(k):
+            j = neighbours[i, at]
+            if j < 0:
+                break
+            cosine = (
+                normals[i, 0] * normals[j, 0]
+                + normals[i, 1] * normals[j, 1]
+                + normals[i, 2] * normals[j, 2]
+            )
+            if cosine * cosine >= 0.25:
+                beside[i, filled] = j
+                filled += 1
+        for at in range(filled, k):
+            beside[i, at] = -1
+
+
+@njit(cache=True, nogil=True)
 def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untyped-def]
-    push = np.zeros(3)
     for i in range(len(samples)):
-        push[:] = 0.0
+        here = samples[i, 0], samples[i, 1], samples[i, 2]
+        after[i, 0], after[i, 1], after[i, 2] = here
+        if reach[i] == 0.0:
+            continue
         far = _RANGE * reach[i]
-        total = 0.0
+        inverse = 1.0 / far
+        a = b = c = total = 0.0
         for at in range(neighbours.shape[1]):
             j = neighbours[i, at]
             if j < 0:
                 break
-            x = samples[i, 0] - samples[j, 0]
-            y = samples[i, 1] - samples[j, 1]
-            z = samples[i, 2] - samples[j, 2]
-            d = np.sqrt(x * x + y * y + z * z)
-            if d >= far or d == 0.0:
+            x = here[0] - samples[j, 0]
+            y = here[1] - samples[j, 1]
+            z = here[2] - samples[j, 2]
+            squared = x * x + y * y + z * z
+            if squared >= far * far or squared == 0.0:
                 continue
-            # Both sides of a thin wall are near each other, but not neighbours on the surface.
-            if (
-                normals[i, 0] * normals[j, 0]
-                + normals[i, 1] * normals[j, 1]
-                + normals[i, 2] * normals[j, 2]
-            ) ** 2 < 0.25:
-                continue
-            w = 1.0 - d / far
+            d = np.sqrt(squared)
+            w = 1.0 - d * inverse
             w *= w
             total += w
-            push[0] += w * x / d
-            push[1] += w * y / d
-            push[2] += w * z / d
+            w /= d
+            a += w * x
+            b += w * y
+            c += w * z
         if total == 0.0:
             continue
-        along = push[0] * normals[i, 0] + push[1] * normals[i, 1] + push[2] * normals[i, 2]
-        size = 0.0
-        for a in range(3):
-            push[a] = (push[a] - along * normals[i, a]) * _STEP * reach[i]
-            size += push[a] * push[a]
-        size = np.sqrt(size)
+        n = normals[i, 0], normals[i, 1], normals[i, 2]
+        along = a * n[0] + b * n[1] + c * n[2]
+        step = _STEP * reach[i]
+        a = (a - along * n[0]) * step
+        b = (b - along * n[1]) * step
+        c = (c - along * n[2]) * step
+        size = np.sqrt(a * a + b * b + c * c)
         limit = _LIMIT * reach[i]
         shrink = limit / size if size > limit else 1.0
-        for a in range(3):
-            after[i, a] = samples[i, a] + shrink * push[a]
+        after[i, 0] += shrink * a
+        after[i, 1] += shrink * b
+        after[i, 2] += shrink * c
