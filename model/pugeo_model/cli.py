@@ -4,7 +4,7 @@
 import sys
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 try:
     import typer
@@ -139,31 +139,40 @@ def train(
     meshes: Annotated[Path, typer.Argument(help="Folder of training meshes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the run; resumed if used.")],
     val: Annotated[Path | None, typer.Option(help="Folder of meshes never trained on.")] = None,
-    steps: Annotated[int, typer.Option(help="Length; raise it to train on.")] = 17_400,
-    seed: Annotated[int, typer.Option(help="Of weights and batches.")] = 0,
-    threads: Annotated[int, typer.Option(help="Torch threads.")] = 1,
-    name: Annotated[str, typer.Option(help="Name in the model card.")] = "standard",
+    recipe: Annotated[
+        str, typer.Option(help="Of released weights, by name, or your own .toml file.")
+    ] = "standard",
+    steps: Annotated[
+        int | None, typer.Option(help="Length, instead of the recipe's; raise it to train on.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of weights and batches.")] = None,
+    threads: Annotated[int | None, typer.Option(help="Torch threads.")] = None,
+    name: Annotated[str | None, typer.Option(help="Of the weights [the recipe's].")] = None,
     every: Annotated[int, typer.Option(help="Steps between checkpoints.")] = 500,
 ) -> None:
     """Train on a folder of meshes; resumes exactly where a run in the same folder stopped."""
-    from pugeo_model.training.run import load_shapes, run
-    from pugeo_model.training.trainer import Recipe
+    from dataclasses import replace
 
-    recipe = Recipe(steps=steps, seed=seed, threads=threads)
+    from pugeo_model.training.recipes import read_recipe
+    from pugeo_model.training.run import load_shapes, run
+
+    chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads}
+    wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})
     with _bar("{task.fields[info]}") as bar:
         task = bar.add_task("sample", total=None, info="")
         shapes = load_shapes(
             meshes, lambda done, total: bar.update(task, completed=done, total=total)
         )
         validation = load_shapes(val) if val else []
-        bar.update(task, description="train", completed=0, total=steps)
+        bar.update(task, description="train", completed=0, total=wanted.steps)
         run(
             shapes,
             validation,
             meshes,
-            recipe,
+            wanted,
             out,
-            name,
+            name or Path(recipe).stem,
+            recipe,
             every,
             tick=lambda step, info: bar.update(task, completed=step, info=info),
         )

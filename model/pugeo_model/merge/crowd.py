@@ -99,68 +99,72 @@ def _flag(x, y, z, limit, count, xs, ys, zs, within):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-untyped-def]
-    """All samples of a chart look at one list, gathered once, of what the charts around it hold.
+def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows):  # type: ignore[no-untyped-def]
+    """What the charts around one hold, its own samples first; returns how many.
 
-    Places in it are float32 and relative to the chart: distances lose nothing that matters, and
-    the processor takes sixteen at a time.
+    Places are float32 and relative to the chart: distances lose nothing that matters, and the
+    processor takes sixteen at a time.
     """
-    charts, k = neighbours.shape
+    x, y, z = spheres[chart, 0], spheres[chart, 1], spheres[chart, 2]
+    count = 0
+    for near in range(-1, neighbours.shape[1]):
+        other = chart if near < 0 else neighbours[chart, near]
+        a, b, c = spheres[other, 0] - x, spheres[other, 1] - y, spheres[other, 2] - z
+        far = max(spheres[other, 3] + widest, 0.0)
+        if a * a + b * b + c * c > far * far:
+            continue
+        for at in range(start[other], start[other + 1]):
+            j = order[at]
+            rows[count] = j
+            xs[count] = samples[j, 0] - x
+            ys[count] = samples[j, 1] - y
+            zs[count] = samples[j, 2] - z
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _longest(start, neighbours):  # type: ignore[no-untyped-def]
+    """Most samples that a chart and those around it hold."""
+    longest = 0
+    for chart in range(len(neighbours)):
+        total = start[chart + 1] - start[chart]
+        for near in neighbours[chart]:
+            total += start[near + 1] - start[near]
+        longest = max(longest, total)
+    return longest
+
+
+@njit(cache=True, nogil=True)
+def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-untyped-def]
+    """All samples of a chart look at one list, gathered once."""
     most = found.shape[1]
     spheres = _spheres(start, order, samples)
-    longest = np.int64(0)
-    for chart in range(charts):
-        total = start[chart + 1] - start[chart]
-        for near in range(k):
-            total += start[neighbours[chart, near] + 1] - start[neighbours[chart, near]]
-        longest = max(longest, total)
-    longest += 2 * _WORD
-    xs = np.empty(longest, dtype=np.float32)
-    ys = np.empty(longest, dtype=np.float32)
-    zs = np.empty(longest, dtype=np.float32)
-    rows = np.empty(longest, dtype=np.int32)
+    room = (_longest(start, neighbours) // _WORD + 2) * _WORD
+    places = np.empty((3, room), dtype=np.float32)
+    xs, ys, zs = places[0], places[1], places[2]
+    rows = np.empty(room, dtype=np.int32)
     # One flag a sample; eight of them are one word, and most words are zero.
-    words = np.zeros(longest // _WORD, dtype=np.uint64)
+    words = np.zeros(room // _WORD, dtype=np.uint64)
     within = words.view(np.uint8)
-    for chart in range(charts):
-        first, last = start[chart], start[chart + 1]
-        if first == last:
+    for chart in range(len(neighbours)):
+        own_samples = order[start[chart] : start[chart + 1]]
+        if len(own_samples) == 0:
             continue
-        centre = spheres[chart, 0], spheres[chart, 1], spheres[chart, 2]
-        widest = 0.0
-        for at in range(first, last):
-            widest = max(widest, reach[order[at]])
-        widest += spheres[chart, 3]
-        count = 0
-        for near in range(-1, k):
-            other = chart if near < 0 else neighbours[chart, near]
-            a = spheres[other, 0] - centre[0]
-            b = spheres[other, 1] - centre[1]
-            c = spheres[other, 2] - centre[2]
-            far = max(spheres[other, 3] + widest, 0.0)
-            if a * a + b * b + c * c > far * far:
-                continue
-            for at in range(start[other], start[other + 1]):
-                j = order[at]
-                rows[count] = j
-                xs[count] = samples[j, 0] - centre[0]
-                ys[count] = samples[j, 1] - centre[1]
-                zs[count] = samples[j, 2] - centre[2]
-                count += 1
+        widest = spheres[chart, 3] + reach[own_samples].max()
+        count = _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows)
         within[count : count + _WORD] = 0
-        # The chart's own samples lead the list.
-        for own in range(last - first):
-            i = rows[own]
+        for own in range(len(own_samples)):
+            i = own_samples[own]
             limit = np.float32(reach[i] * reach[i])
             _flag(xs[own], ys[own], zs[own], limit, count, xs, ys, zs, within)
             within[own] = 0
             filled = 0
-            for word in range((count + _WORD - 1) // _WORD):
+            for word in range(count // _WORD + 1):
                 if words[word] == 0:
                     continue
                 for at in range(word * _WORD, word * _WORD + _WORD):
                     if within[at] and filled < most:
                         found[i, filled] = rows[at]
                         filled += 1
-            for at in range(filled, most):
-                found[i, at] = -1
+            found[i, filled:] = -1

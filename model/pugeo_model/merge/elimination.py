@@ -88,16 +88,20 @@ def _sift_down(keys, rows, size, at):  # type: ignore[no-untyped-def]
     keys[at], rows[at] = key, row
 
 
-@njit(inline="always")
+@njit(cache=True, nogil=True)
 def _drawer(key):  # type: ignore[no-untyped-def]
     """Number of the drawer of a key: never lower for a heavier key, and finer for light ones."""
-    bits = np.float32(key if key > 0.0 else 0.0).view(np.int32)
+    bits = np.float32(max(key, 0.0)).view(np.int32) & np.int32(0x7FFFFFFF)
     return bits >> np.int32(_DRAWER_BITS)
 
 
 @njit(cache=True, nogil=True)
-def _listed_by(neighbours):  # type: ignore[no-untyped-def]
-    """Who lists each candidate: starts ``(C + 1,)`` and rows. Lists are not always mutual."""
+def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-def]
+    """Add to every key what the neighbours weigh.
+
+    Returns:
+        Who lists each candidate, since lists are not always mutual: starts ``(C + 1,)`` and rows.
+    """
     count, k = neighbours.shape
     start = np.zeros(count + 1, dtype=np.int64)
     for i in range(count):
@@ -106,15 +110,54 @@ def _listed_by(neighbours):  # type: ignore[no-untyped-def]
                 start[neighbours[i, j] + 1] += 1
     for i in range(count):
         start[i + 1] += start[i]
-    rows = np.empty(start[count], dtype=np.int32)
+    listed_by = np.empty(start[count], dtype=np.int32)
     fill = start[:-1].copy()
     for i in range(count):
         for j in range(k):
             other = neighbours[i, j]
             if other >= 0:
-                rows[fill[other]] = i
+                listed_by[fill[other]] = i
                 fill[other] += 1
-    return start, rows
+                key[i] += _weight(points, reach, floor, i, other)
+    return start, listed_by
+
+
+@njit(cache=True, nogil=True)
+def _fill_drawers(key):  # type: ignore[no-untyped-def]
+    """Linked lists of candidates: the first of each drawer, and the next after each candidate."""
+    top = 0
+    for i in range(len(key)):
+        top = max(top, _drawer(key[i]))
+    first = np.full(top + 1, -1, dtype=np.int32)
+    after = np.empty(len(key), dtype=np.int32)
+    for i in range(len(key) - 1, -1, -1):
+        _put(first, after, key, i)
+    return first, after
+
+
+@njit(cache=True, nogil=True)
+def _put(first, after, key, row):  # type: ignore[no-untyped-def]
+    drawer = _drawer(key[row])
+    after[row] = first[drawer]
+    first[drawer] = row
+
+
+@njit(cache=True, nogil=True)
+def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
+    """Make a heap of what still belongs into the drawer ``top``; returns its size."""
+    size = 0
+    row = first[top]
+    while row >= 0:
+        following = after[row]
+        if _drawer(key[row]) == top:
+            keys[size], rows[size] = key[row], row
+            size += 1
+        else:
+            _put(first, after, key, row)
+        row = following
+    for at in range(size // 2 - 1, -1, -1):
+        _sift_down(keys, rows, size, at)
+    return size
 
 
 @njit(cache=True, nogil=True)
@@ -122,65 +165,37 @@ def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: i
     """Remove the heaviest until there is no surplus.
 
     Keys only ever fall, so the heaviest are found drawer by drawer, and a candidate that has
-    become lighter is put where it belongs only when it is met: a heap of all, kept in order at
+    become lighter is put where it belongs only when it is met: one heap of all, kept in order at
     every change, takes twice as long.
     """
-    count, k = neighbours.shape
-    start, listed_by = _listed_by(neighbours)
+    count = len(points)
     key = burden.copy()
-    for i in range(count):
-        for j in range(k):
-            if neighbours[i, j] >= 0:
-                key[i] += _weight(points, reach, floor, i, neighbours[i, j])
-    top = 0
-    for i in range(count):
-        top = max(top, _drawer(key[i]))
-    # Drawers are linked lists: the first of each, and the next after each candidate.
-    first = np.full(top + 1, -1, dtype=np.int32)
-    after = np.empty(count, dtype=np.int32)
-    for i in range(count - 1, -1, -1):
-        drawer = _drawer(key[i])
-        after[i] = first[drawer]
-        first[drawer] = i
-    keys = np.empty(count)
-    rows = np.empty(count, dtype=np.int32)
+    start, listed_by = _weigh(points, neighbours, reach, floor, key)
+    first, after = _fill_drawers(key)
+    keys, rows = np.empty(count), np.empty(count, dtype=np.int32)
     alive = np.ones(count, dtype=np.bool_)
+    top, size = len(first), 0
     while surplus > 0:
-        # The highest drawer, as a heap of what still belongs there.
-        size = 0
-        row = first[top]
-        while row >= 0:
-            following = after[row]
-            drawer = _drawer(key[row])
-            if drawer == top:
-                keys[size], rows[size] = key[row], row
-                size += 1
-            else:
-                after[row] = first[drawer]
-                first[drawer] = row
-            row = following
-        for at in range(size // 2 - 1, -1, -1):
-            _sift_down(keys, rows, size, at)
-        while size > 0 and surplus > 0:
-            row = rows[0]
-            now = key[row]
-            drawer = _drawer(now)
-            if drawer == top and now < keys[0]:
-                keys[0] = now
-                _sift_down(keys, rows, size, 0)
-                continue
-            size -= 1
-            keys[0], rows[0] = keys[size], rows[size]
+        if size == 0:
+            top -= 1
+            size = _open(top, first, after, key, keys, rows)
+            continue
+        row = rows[0]
+        belongs = _drawer(key[row]) == top
+        if belongs and key[row] < keys[0]:
+            keys[0] = key[row]
             _sift_down(keys, rows, size, 0)
-            if drawer < top:
-                after[row] = first[drawer]
-                first[drawer] = row
-                continue
-            alive[row] = False
-            surplus -= counted[row]
-            for at in range(start[row], start[row + 1]):
-                other = listed_by[at]
-                if alive[other]:
-                    key[other] -= _weight(points, reach, floor, other, row)
-        top -= 1
+            continue
+        size -= 1
+        keys[0], rows[0] = keys[size], rows[size]
+        _sift_down(keys, rows, size, 0)
+        if not belongs:
+            _put(first, after, key, row)
+            continue
+        alive[row] = False
+        surplus -= counted[row]
+        for at in range(start[row], start[row + 1]):
+            other = listed_by[at]
+            if alive[other]:
+                key[other] -= _weight(points, reach, floor, other, row)
     return alive

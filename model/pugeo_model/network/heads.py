@@ -75,7 +75,7 @@ class Samples(nn.Module):
     each pattern point, its radius and ``R^-1/2``, so one set of weights serves every ratio.
     """
 
-    def __init__(self, features: int, width: int = 64) -> None:
+    def __init__(self, features: int, width: int) -> None:
         super().__init__()
         self.stretch = _quiet(nn.Linear(features, 4))
         self.code = nn.Linear(features, width)
@@ -112,7 +112,7 @@ class Surface(nn.Module):
     weighed where they disagree.
     """
 
-    def __init__(self, features: int, width: int = 128, hidden: int = 64) -> None:
+    def __init__(self, features: int, width: int, hidden: int) -> None:
         super().__init__()
         self.width = width
         self.code = nn.Linear(features, width)

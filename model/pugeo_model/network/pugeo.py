@@ -23,11 +23,13 @@ class Architecture:
         backbone: name in ``BACKBONES``.
         features: channels of the per-point feature ``c_i``.
         options: the backbone's own arguments.
+        head: channels of the surface head; that of the samples has half as many.
     """
 
     backbone: str = "charts"
     features: int = 256
     options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64), ("expansion", 2))
+    head: int = 128
 
     def to_json(self) -> dict[str, Any]:
         """Plain types only."""
@@ -36,7 +38,8 @@ class Architecture:
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Architecture":
         """The inverse of :meth:`to_json`."""
-        return cls(raw["backbone"], raw["features"], tuple(raw["options"].items()))
+        options = tuple(raw["options"].items())
+        return cls(raw["backbone"], raw["features"], options, raw.get("head", 128))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +75,9 @@ class PUGeoNet(nn.Module):
             features=features, **dict(self.architecture.options)
         )
         self.frame = Frame(features)
-        self.samples = Samples(features)
-        self.surface = Surface(features)
+        head = self.architecture.head
+        self.samples = Samples(features, head // 2)
+        self.surface = Surface(features, head, head // 2)
 
     def forward(self, hoods: Neighbourhoods, quadric: Tensor, count: int) -> tuple[Charts, Tensor]:
         """Charts of the core points and their adaptive samples.

@@ -37,6 +37,7 @@ def run(
     recipe: Recipe,
     folder: Path,
     name: str,
+    recipe_name: str,
     every: int,
     tick: Callable[[int, str], None],
 ) -> None:
@@ -49,6 +50,7 @@ def run(
         recipe: what to do.
         folder: of the run.
         name: of the weights.
+        recipe_name: what to give ``--recipe`` to repeat the run.
         every: steps between checkpoints.
         tick: called with the step and a few words after every step.
     """
@@ -57,7 +59,11 @@ def run(
 
     def write() -> None:
         plot_curves(folder / "log.csv", folder / "curves.png")
-        save(trainer.net, model_card(trainer, meshes, name), folder / f"{name}.safetensors")
+        save(
+            trainer.net,
+            model_card(trainer, meshes, name, recipe_name),
+            folder / f"{name}.safetensors",
+        )
 
     def report(_step: int, line: dict[str, float]) -> None:
         shown = {key: line[key] for key in ("loss", "val_loss") if key in line}
@@ -69,7 +75,7 @@ def run(
     write()
 
 
-def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:
+def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> dict[str, Any]:
     """What anyone needs to judge and to repeat the weights."""
     recipe = trainer.recipe
     files = mesh_files(meshes)
@@ -80,8 +86,9 @@ def model_card(trainer: Trainer, meshes: Path, name: str) -> dict[str, Any]:
         "parameters": sum(value.numel() for value in trainer.net.parameters()),
         "training": {
             "command": (
-                f"pugeo train {meshes.name} --out RUN --val VAL --steps {recipe.steps}"
-                f" --seed {recipe.seed} --threads {recipe.threads} --name {name}"
+                f"pugeo train {meshes.name} --out RUN --val VAL --recipe {Path(recipe_name).name}"
+                f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
+                f" --name {name}"
             ),
             "recipe": recipe.to_json(),
             "steps": trainer.step,

@@ -47,7 +47,7 @@ def parcel() -> Landing:
 def test_the_compiled_landing_follows_the_rule(parcel: Landing) -> None:
     """Steps, normals and expected errors are those of ``blend``, up to bfloat16."""
     torch.manual_seed(0)
-    surface = Surface(16, WIDTH)
+    surface = Surface(16, WIDTH, 64)
     with torch.no_grad():
         surface.out.weight.mul_(30.0)
     rows = torch.from_numpy(parcel.charts.astype(np.int64))
@@ -79,6 +79,6 @@ def test_the_compiled_landing_follows_the_rule(parcel: Landing) -> None:
 
 def test_a_landing_repeats_to_the_bit(parcel: Landing) -> None:
     """The same parcel gives the same bytes, whatever the buffers held before."""
-    lander = Lander(Surface(16, WIDTH))
+    lander = Lander(Surface(16, WIDTH, 64))
     once, twice = lander(parcel), lander(parcel)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))

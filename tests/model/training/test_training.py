@@ -5,12 +5,14 @@ import torch
 
 pytest.importorskip("igl", reason="training needs the train extra")
 
-from pugeo_model.network.pugeo import Architecture
+from pugeo_model.errors import BadOption
+from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training import corpus
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import load_shape, mesh_files
 from pugeo_model.training.losses import JointLoss
+from pugeo_model.training.recipes import available_recipes, read_recipe
 from pugeo_model.training.run import load_shapes, run
 from pugeo_model.training.trainer import Recipe, Trainer, learning_rate
 
@@ -98,8 +100,6 @@ def test_loss_falls(shapes, tmp_path):
 
 def test_loss_is_finite_and_has_gradients_everywhere(shapes):
     """Every parameter takes part in the joint loss."""
-    from pugeo_model.network.pugeo import PUGeoNet
-
     torch.manual_seed(0)
     net = PUGeoNet(SMALL)
     count, samples = Batches(shapes, Mix(), 0, 10)[2]
@@ -116,12 +116,34 @@ def test_resumes_exactly(shapes, meshes, tmp_path):
     def train(folder, lengths):
         for steps in lengths:
             recipe = Recipe(SMALL, steps=steps, warmup=2, cooldown=0.0)
-            run(shapes, [], meshes, recipe, folder, "small", 3, lambda *_: None)
+            run(shapes, [], meshes, recipe, folder, "small", "own.toml", 3, lambda *_: None)
         return (folder / "small.safetensors").read_bytes()
 
     assert train(tmp_path / "once", [6]) == train(tmp_path / "twice", [3, 6])
     for name in ("log.csv", "curves.png", "small.json", "checkpoint.pt"):
         assert (tmp_path / "once" / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", available_recipes())
+def test_recipes_of_released_weights(name):
+    """Each can be read and makes a network."""
+    recipe = read_recipe(name)
+    assert recipe.to_json()["architecture"] == PUGeoNet(recipe.architecture).architecture.to_json()
+
+
+def test_a_recipe_of_ones_own(tmp_path):
+    """What it leaves out is as in the code; what it should not hold is told by name."""
+    path = tmp_path / "mine.toml"
+    path.write_text("steps = 7\n[architecture]\noptions = {width = 8}\n[mix]\nnoisy = 0.5\n")
+    recipe = read_recipe(str(path))
+    assert (recipe.steps, recipe.mix.noisy, recipe.rate) == (7, 0.5, Recipe().rate)
+    assert recipe.architecture.options == (("width", 8),)
+    for text, said in (("stepz = 1", "'stepz' is unknown"), ("mix = 3", "table"), ("=", "TOML")):
+        path.write_text(text)
+        with pytest.raises(BadOption, match=said):
+            read_recipe(str(path))
+    with pytest.raises(BadOption, match="standard"):
+        read_recipe("nobodys")
 
 
 def test_learning_rate_has_three_phases():
