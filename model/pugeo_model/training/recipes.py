@@ -47,7 +47,8 @@ def read_recipe(name_or_path: str) -> Recipe:
     values: dict[str, Any] = {}
     for key, value in raw.items():
         values[key] = _table(path, key, value) if key in _TABLES else value
-    return _make(path, Recipe, values)
+    recipe: Recipe = _make(path, Recipe, values)
+    return recipe
 
 
 def _table(path: Path, name: str, raw: Any) -> Any:
