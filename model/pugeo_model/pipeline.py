@@ -222,7 +222,7 @@ class Piece:
     """
 
     cloud: Cloud
-    parts: NDArray[np.intp] | None
+    parts: NDArray[np.int32] | None
     sides: Sides | None
     noise: float
 
@@ -364,7 +364,7 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     if tile.orient == "mst":
         sides = take_sides(tile.rows[job.order], job.core, job.points, axes, graph)
         normals = propagate(landed.normals, landed.nearest, sides.normals)
-        parts = sides.parts[landed.nearest]
+        parts = sides.parts[landed.nearest].astype(np.int32)
     elif tile.orient == "input":
         signs, _ = orient(job.points, axes, "input", None, cloud.normals, graph)
         normals = propagate(landed.normals, landed.nearest, signs)

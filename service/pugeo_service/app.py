@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from pugeo_model import weights
+from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_service import __version__, openapi, problems, tracing
 from pugeo_service.admission import Admission
 from pugeo_service.engine import Engine
@@ -27,6 +28,7 @@ from pugeo_service.telemetry import Readings, Telemetry
 __all__ = ["create_app", "create_service"]
 
 _log = structlog.stdlib.get_logger("pugeo.service")
+_TIDY_S = 10.0
 
 
 def create_service(settings: Settings) -> Service:
@@ -84,11 +86,13 @@ def create_app(
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # In the background: a probe must be answered while the model is still loading.
         starting = asyncio.create_task(_start(service, on_fatal))
+        tidying = asyncio.create_task(_tidy())
         await service.jobs.start()
         yield
         service.drain()
-        starting.cancel()
-        await asyncio.gather(starting, return_exceptions=True)
+        for task in (starting, tidying):
+            task.cancel()
+        await asyncio.gather(starting, tidying, return_exceptions=True)
         # Before the workers: jobs that run are put back, and their tasks go first.
         await service.jobs.stop()
         await service.engine.stop()
@@ -128,3 +132,10 @@ async def _start(service: Service, on_fatal: Callable[[], Any]) -> None:
         on_fatal()
         return
     _log.info("ready", workers=service.engine.status.workers, model=service.card["name"])
+
+
+async def _tidy() -> None:
+    """Give back what bodies and answers left behind, for as long as the service runs."""
+    while True:
+        await asyncio.sleep(_TIDY_S)
+        await asyncio.to_thread(give_back_freed_memory)

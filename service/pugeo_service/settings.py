@@ -61,8 +61,8 @@ class Settings(BaseSettings):
     tls_key: Path | None = None
 
     max_body_bytes: Annotated[int, Field(ge=1)] = 256 * MIB
-    max_points: Annotated[int, Field(ge=1)] = 2_000_000
-    max_output_points: Annotated[int, Field(ge=1)] = 4_000_000
+    max_points: Annotated[int, Field(ge=1)] = 5_000_000
+    max_output_points: Annotated[int, Field(ge=1)] = 20_000_000
     queue_patches: Annotated[int, Field(ge=1, description="patches admitted at one time")] = 4096
     queue_bytes: Annotated[int, Field(ge=1, description="bytes of bodies held at one time")] = (
         1024 * MIB

@@ -8,11 +8,17 @@ the scheduler knows is warm.
 import logging
 import os
 import signal
+from typing import Any
 
+from tornado.ioloop import PeriodicCallback
+
+from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_service.engine import stages
 from pugeo_service.engine.sample import sample_body, sample_order
 
 __all__ = ["dask_setup", "warm"]
+
+_TIDY_MS = 5_000
 
 
 def warm(model: str) -> None:
@@ -25,10 +31,12 @@ def warm(model: str) -> None:
     stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
 
 
-def dask_setup(_worker: object) -> None:
+def dask_setup(worker: Any) -> None:
     """Warm this process; Dask calls it in every worker before the worker registers."""
     # Ctrl+C reaches the whole process group, and the front ends its workers in good order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Dask logs every exception with all arguments; the front logs those that are bugs.
     logging.getLogger("distributed.worker").setLevel(logging.ERROR)
     warm(os.environ.get("PUGEO_MODEL", "standard"))
+    # What other clouds left between the results that live here would add up.
+    worker.periodic_callbacks["tidy"] = PeriodicCallback(give_back_freed_memory, _TIDY_MS)
