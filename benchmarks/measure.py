@@ -18,7 +18,7 @@ from pugeo_model import Cloud
 from pugeo_model.formats import read, write
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.metrics.clouds import evenness
-from pugeo_model.pipeline import Upsampler
+from pugeo_model.upsampler import Upsampler
 
 __all__ = ["main"]
 

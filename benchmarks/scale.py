@@ -21,7 +21,7 @@ from benchmarks.machine import describe
 from benchmarks.one_core import environment, pin
 from pugeo_model import Cloud
 from pugeo_model.formats import read, write
-from pugeo_model.pipeline import Upsampler
+from pugeo_model.upsampler import Upsampler
 
 __all__ = ["main"]
 

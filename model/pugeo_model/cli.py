@@ -84,7 +84,8 @@ def upsample(
 ) -> None:
     """Write a cloud with R times as many points, each with a normal."""
     from pugeo_model.formats import FORMATS, read, write, written_as
-    from pugeo_model.pipeline import Options, Upsampler
+    from pugeo_model.options import Options
+    from pugeo_model.upsampler import Upsampler
 
     where = _numbers(viewpoint)
     # What can be refused at once is refused before the work, not after it.

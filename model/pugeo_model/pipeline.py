@@ -18,7 +18,7 @@ merge then spreads points that are where they seem to be.
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import BadOption
 from pugeo_model.finish.attributes import carry
 from pugeo_model.finish.joining import Sides, signs_of_parts, take_sides
-from pugeo_model.finish.orientation import METHODS, method_of, orient, propagate
+from pugeo_model.finish.orientation import method_of, orient, propagate
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
@@ -38,20 +37,17 @@ from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.merge.atlas import Atlas, Landed, Landing, PatchCharts, bind, parcels
 from pugeo_model.merge.placement import place, shares
 from pugeo_model.normalise import Placement, normalise
+from pugeo_model.options import MOST, Options, refuse
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pugeo_model.network.model import Model
 
 __all__ = [
     "Job",
-    "Options",
     "Piece",
     "Plan",
     "Result",
-    "Upsampler",
     "assemble",
     "finish",
     "land",
@@ -62,63 +58,10 @@ __all__ = [
     "survey",
 ]
 
-MOST = 32.0
-"""Largest ratio."""
-
 _OVERSAMPLE = 1.5  # candidates a point wanted
 _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
 _NONE = np.empty((0, 0), dtype=np.int32)
 _FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the caller may choose.
-
-    Attributes:
-        ratio: output points an input point, a real number in 1..32. At 1 the input points come
-            back, with normals.
-        n_points: number of output points instead of a ratio.
-        orient: ``auto``, ``input``, ``viewpoint``, ``mst``, ``outward`` or ``none``.
-        viewpoint: sensor position in the cloud's own frame and units.
-        seed: 0..2^63-1; other seeds give other, equally even samples.
-        keep_input: the cleaned input points lead the answer, untouched and in their order, and
-            the rest is spread among them. Else every point is new, and noise is smoothed away.
-
-    Raises:
-        BadOption: a value out of range; its ``fields`` name it.
-    """
-
-    ratio: float = 4.0
-    n_points: int | None = None
-    orient: str = "auto"
-    viewpoint: tuple[float, float, float] | None = None
-    seed: int = 0
-    keep_input: bool = False
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.ratio <= MOST:
-            _refuse("ratio", self.ratio, "a number from 1 to 32", limit=[1, 32])
-        if self.n_points is not None and self.n_points < 1:
-            _refuse("n_points", self.n_points, "a positive whole number")
-        if self.orient not in METHODS:
-            _refuse("orient", self.orient, f"one of {', '.join(METHODS)}", allowed=list(METHODS))
-        if self.viewpoint is not None and (not all(math.isfinite(v) for v in self.viewpoint)):
-            _refuse("viewpoint", list(self.viewpoint), "three finite numbers x, y, z")
-        if self.orient == "viewpoint" and self.viewpoint is None:
-            _refuse("viewpoint", None, "given where orient is 'viewpoint'")
-        if not 0 <= self.seed < 2**63:
-            _refuse("seed", self.seed, "a whole number from 0 to 2^63 - 1")
-
-    def points_out(self, count: int) -> int:
-        """Output points for ``count`` input points: exactly round(R M), halves up."""
-        return self.n_points or math.floor(self.ratio * count + 0.5)
-
-
-def _refuse(name: str, value: Any, wanted: str, **fields: Any) -> None:
-    raise BadOption(
-        f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +196,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
     count = len(points)
     n_out = options.points_out(count)
     if not count <= n_out <= MOST * count:
-        _refuse(
+        refuse(
             "n_points",
             n_out,
             f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
@@ -406,69 +349,3 @@ def _input_first(cuts: Sequence[Cut]) -> NDArray[np.int64]:
         new.append(start + np.arange(tile.core, tile.n_out))
     back = np.argsort(np.concatenate([tile.rows[: tile.core] for tile in cuts]))
     return np.concatenate([np.concatenate(own)[back], *new])
-
-
-class Upsampler:
-    """The whole way in one process.
-
-    Args:
-        weights: name of released weights, or the path of a ``.safetensors`` file.
-    """
-
-    def __init__(self, weights: "str | Path" = "standard") -> None:
-        from pugeo_model.weights import load
-
-        self.model = load(weights)
-
-    def __call__(
-        self,
-        cloud: Cloud | NDArray[Any],
-        ratio: float = 4.0,
-        *,
-        n_points: int | None = None,
-        orient: str = "auto",
-        viewpoint: tuple[float, float, float] | None = None,
-        seed: int = 0,
-        keep_input: bool = False,
-        progress: Callable[[str, int, int], None] | None = None,
-    ) -> Result:
-        """Upsample a cloud; arguments as in :class:`Options`.
-
-        Args:
-            cloud: a cloud, or points ``(M, 3)``.
-            progress: called with a stage's name, parts done and parts in all.
-
-        Raises:
-            CloudError: the cloud or an option cannot be used.
-        """
-        if not isinstance(cloud, Cloud):
-            cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
-        options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        tell = progress or (lambda _stage, _done, _total: None)
-
-        def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
-            done: list[Any] = []
-            for part in parts:
-                tell(stage, len(done), len(parts))
-                done.append(work(part))
-            return done
-
-        def upsample(tile: Tile) -> Piece:
-            tell("prepare", 0, 1)
-            job = prepare(tile)
-            charts = spread(
-                "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
-            )
-            tell("propose", 0, 1)
-            candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
-            tell("merge", 0, 1)
-            parcels = merge(job, charts, candidates)
-            points = spread("land", parcels, lambda part: land(self.model, part))
-            tell("finish", 0, 1)
-            return finish(job, points)
-
-        plan = survey(cloud, options)
-        tiles = (plan.tile(number) for number in range(len(plan.cuts)))
-        result = assemble(plan, [upsample(tile) for tile in tiles])
-        tell("finish", 1, 1)
-        return result

@@ -181,7 +181,7 @@ def test_large_coordinates_stay_double(server: Server, cloud: Cloud) -> None:
 
 def test_the_service_computes_what_the_library_does(server: Server) -> None:
     """Workers, batches and transport change nothing: the bytes are those of one process."""
-    from pugeo_model.pipeline import Upsampler
+    from pugeo_model.upsampler import Upsampler
 
     directions = np.random.default_rng(3).normal(size=(5000, 3))
     sphere = Cloud((directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype("f4"))

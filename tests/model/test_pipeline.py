@@ -5,9 +5,8 @@ import torch
 
 from pugeo_model import BadOption, Cloud, UntreatableCloud
 from pugeo_model.metrics.clouds import evenness
+from pugeo_model.options import Options
 from pugeo_model.pipeline import (
-    Options,
-    Upsampler,
     assemble,
     finish,
     land,
@@ -17,6 +16,7 @@ from pugeo_model.pipeline import (
     propose,
     survey,
 )
+from pugeo_model.upsampler import Upsampler
 
 
 @pytest.fixture(scope="module")

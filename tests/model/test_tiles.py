@@ -10,9 +10,8 @@ from pugeo_model import Cloud
 from pugeo_model.finish.joining import signs_of_parts, take_sides
 from pugeo_model.geometry.neighbours import nearest
 from pugeo_model.metrics.clouds import evenness
+from pugeo_model.options import Options
 from pugeo_model.pipeline import (
-    Options,
-    Upsampler,
     assemble,
     finish,
     land,
@@ -24,6 +23,7 @@ from pugeo_model.pipeline import (
 )
 from pugeo_model.tiles import cut_tiles
 from pugeo_model.training.corpus import poisson_disk
+from pugeo_model.upsampler import Upsampler
 
 SIZE = 1200
 

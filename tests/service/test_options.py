@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from pugeo_model.pipeline import Options
+from pugeo_model.options import Options
 from pugeo_service.options import UpsampleQuery
 
 

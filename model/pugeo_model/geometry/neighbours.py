@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.leaves import nearest_in_leaves
+
 __all__ = ["NEIGHBOURS", "SPACING_NEIGHBOURS", "knn", "nearest", "spacing"]
 
 NEIGHBOURS = 32
@@ -52,18 +54,27 @@ def nearest(
         Distances ``(M, count)`` float32 in the points' units and rows ``(M, count)`` int32,
         nearest first.
     """
-    found = min(count + 1, len(points))
-    far, near = knn(cKDTree(points), points, found)
-    # Near-duplicates may come back before the point itself, so column 0 is not always "self".
-    own = near == np.arange(len(points))[:, None]
-    missing = ~own.any(axis=1)
-    own[missing, -1] = True
-    distances = far[~own].reshape(len(points), found - 1).astype(np.float32)
-    rows = near[~own].reshape(len(points), found - 1).astype(np.int32)
-    if found - 1 < count:
-        lack = ((0, 0), (0, count - found + 1))
+    found = min(count, len(points) - 1)
+    distances, rows = nearest_in_leaves(points, found)
+    left = np.flatnonzero(rows[:, 0] < 0)
+    if len(left):
+        distances[left], rows[left] = _by_tree(points, left, found)
+    if found < count:
+        lack = ((0, 0), (0, count - found))
         distances, rows = np.pad(distances, lack, mode="edge"), np.pad(rows, lack, mode="edge")
     return distances, rows
+
+
+def _by_tree(
+    points: NDArray[np.float64], queries: NDArray[np.intp], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Nearest neighbours of chosen points, themselves left out, one descent of a tree each."""
+    far, near = knn(cKDTree(points), points[queries], count + 1)
+    # Near-duplicates may come back before the point itself, so column 0 is not always "self".
+    own = near == queries[:, None]
+    missing = ~own.any(axis=1)
+    own[missing, -1] = True
+    return far[~own].reshape(-1, count), near[~own].reshape(-1, count)
 
 
 def spacing(distances: NDArray[np.float32]) -> NDArray[np.float32]:

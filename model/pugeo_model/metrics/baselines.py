@@ -18,7 +18,8 @@ from pugeo_model.merge.placement import nearest_charts, place, shares
 from pugeo_model.metrics.reconstruction import reconstruct
 from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.network.pattern import disk
-from pugeo_model.pipeline import Job, Options, Plan, assemble, finish, prepare, survey
+from pugeo_model.options import Options
+from pugeo_model.pipeline import Job, Plan, assemble, finish, prepare, survey
 from pugeo_model.training.corpus import face_normals, poisson_disk
 
 __all__ = ["jet", "plane", "poisson"]

@@ -20,7 +20,7 @@ from pugeo_model.metrics.evaluation import (
     truths,
 )
 from pugeo_model.metrics.tables import LEGEND, table
-from pugeo_model.pipeline import Upsampler
+from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import locate, read_card
 
 __all__ = ["Rows", "evaluate_all", "means_table", "require"]

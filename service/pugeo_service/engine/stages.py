@@ -18,6 +18,7 @@ from pugeo_model import formats, pipeline, weights
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import LimitExceeded
 from pugeo_model.formats.limits import Limits
+from pugeo_model.options import Options
 from pugeo_service.engine.order import Head, Order, Sheet
 
 __all__ = [
@@ -120,7 +121,7 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
         CloudError: everything that can be wrong with an input.
     """
     start = time.perf_counter()
-    options = pipeline.Options(**order.options)
+    options = Options(**order.options)
     limits = Limits(max_points=order.max_points)
     cloud = formats.read(io.BytesIO(body.data), format=order.format, limits=limits)
     _check_output(cloud, options, order.max_output_points)
@@ -243,7 +244,7 @@ def chunk(written: Written, index: int) -> bytes:
     return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()
 
 
-def _check_output(cloud: Cloud, options: pipeline.Options, limit: int) -> None:
+def _check_output(cloud: Cloud, options: Options, limit: int) -> None:
     # Before the work and not after it: preparing five million points takes a while.
     wanted = options.points_out(len(cloud))
     if wanted > limit:

@@ -12,6 +12,7 @@ import pytest
 from pugeo_model import Cloud, pipeline
 from pugeo_model.errors import MalformedFile
 from pugeo_model.formats import read, write
+from pugeo_model.options import Options
 
 Parse = Callable[..., Cloud]
 LITTLE, BIG, TEXT = "binary_little_endian", "binary_big_endian", "ascii"
@@ -322,5 +323,5 @@ def test_notes_reach_the_report(parse: Parse) -> None:
         [("vertex", XYZ, points.tolist()), ("face", ["list uchar int vertex_indices"], [[[0]]])],
         points,
     )
-    plan = pipeline.survey(parse(habit.file()), pipeline.Options(ratio=2.0))
+    plan = pipeline.survey(parse(habit.file()), Options(ratio=2.0))
     assert any("faces are dropped" in note for note in plan.report["notes"])
