@@ -87,8 +87,11 @@ class Flow:
             await inside.aclose()
 
         sheet: Sheet
-        batches: list[tuple[float, int]] = []
-        if head.tiles == 1:
+        batches = list(head.batches)
+        if head.sheet is not None:
+            self._watcher.on_done(size)
+            written, sheet = prepared, head.sheet
+        elif head.tiles == 1:
             landed = await self._dense(prepared, size, seconds, batches)
             self._watcher.on_stage("finish")
             written, sheet = await self._step(
@@ -103,7 +106,8 @@ class Flow:
             )
             self._drop(pieces)
         _add(seconds, sheet.seconds)
-        self._drop([prepared])
+        if written is not prepared:
+            self._drop([prepared])
 
         self._watcher.on_stage("collect")
         began = time.perf_counter()

@@ -58,11 +58,15 @@ class Head:
         patches: units of work.
         tiles: parts that go their way one by one; most clouds are one.
         seconds: time of each stage so far.
+        sheet: of the answer, where the cloud was so small that it is done already.
+        batches: seconds and patches that the network took for it.
     """
 
     patches: int
     tiles: int
     seconds: dict[str, float]
+    sheet: "Sheet | None" = None
+    batches: tuple[tuple[float, int], ...] = ()
 
 
 @dataclass(frozen=True)

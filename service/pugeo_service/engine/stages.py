@@ -49,6 +49,7 @@ __all__ = [
 ]
 
 _CHUNK_BYTES = 8 << 20
+_AT_ONCE_PATCHES = 1
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,15 @@ class Prepared:
         plan: how the cloud is cut; ``None`` for a tile.
         job: the tile, or the cloud where it is in one piece; ``None`` where it is not.
         seconds: of each stage so far.
+        written: the answer, where the cloud was small enough to be done at once.
+        batches: seconds and patches that the network took for it.
     """
 
     plan: Any
     job: Any
     seconds: dict[str, float]
+    written: "Written | None" = None
+    batches: tuple[tuple[float, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,14 +133,41 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     read = time.perf_counter()
     plan = pipeline.survey(cloud, options)
     job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
-    return Prepared(plan, job, {"read": read - start, "prepare": time.perf_counter() - read})
+    seconds = {"read": read - start, "prepare": time.perf_counter() - read}
+    prepared = Prepared(plan, job, seconds)
+    if job is not None and len(job.patches) <= _AT_ONCE_PATCHES:
+        return _at_once(prepared, order)
+    return prepared
+
+
+def _at_once(prepared: Prepared, order: Order) -> Prepared:
+    """Go all the way: for a cloud this small, passing it on would take longer than the work."""
+    charted = predict(cut_patches(prepared, 0, len(prepared.job.patches)), order.model)
+    proposed = propose(prepared, [charted])
+    start = time.perf_counter()
+    candidates = land(proposed.landings, order.model)
+    landing = time.perf_counter() - start
+    merged = merge(prepared, [charted], [candidates])
+    start = time.perf_counter()
+    landed = land(merged.landings, order.model)
+    landing += time.perf_counter() - start
+    written = finish(prepared, [landed], order.answer)
+    seconds = {
+        **prepared.seconds,
+        "predict": charted.seconds,
+        "land": landing,
+        "merge": proposed.seconds + merged.seconds,
+    }
+    return Prepared(prepared.plan, prepared.job, seconds, written, tuple(proposed.batches))
 
 
 def describe_prepared(prepared: Prepared) -> Head:
     """Return what the front needs to know of a prepared cloud or tile."""
     plan, job = prepared.plan, prepared.job
     patches = plan.report["patches"] if job is None else len(job.patches)
-    return Head(patches, 1 if job is not None else len(plan.cuts), prepared.seconds)
+    tiles = 1 if job is not None else len(plan.cuts)
+    sheet = None if prepared.written is None else describe_written(prepared.written)
+    return Head(patches, tiles, prepared.seconds, sheet, prepared.batches)
 
 
 def cut_tile(prepared: Prepared, number: int) -> Any:
@@ -239,8 +271,11 @@ def describe_written(written: Written) -> Sheet:
     return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
 
 
-def chunk(written: Written, index: int) -> bytes:
+def chunk(written: Written | Prepared, index: int) -> bytes:
     """Return a part of the answer small enough for the front's memory."""
+    if isinstance(written, Prepared):
+        assert written.written is not None
+        written = written.written
     return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()
 
 

@@ -165,6 +165,26 @@ def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
     assert not any(handle.live for handle in pool.handles)
 
 
+def test_a_cloud_that_is_done_at_once(tmp_path: Path) -> None:
+    """One task and a look at it, then the answer; its patches count as done."""
+
+    class Quick(Recorder):
+        async def fetch(self, handle: Handle) -> Any:
+            if handle.stage == "describe_prepared":
+                sheet = Sheet(2, b"0", {"points_in": 1}, {"finish": 0.5})
+                return Head(1, 1, {"prepare": 1.0, "predict": 2.0}, sheet, ((2.0, 1),))
+            return await super().fetch(handle)
+
+    done: list[int] = []
+    pool = Quick(1)
+    outcome, data = run(pool, tmp_path, Watcher(on_done=done.append))
+    assert data == b"01"
+    assert [handle.stage for handle in pool.handles] == ["prepare", "describe_prepared", "chunk"]
+    assert (outcome.batches, done) == ([(2.0, 1)], [1])
+    assert outcome.seconds["finish"] == 0.5
+    assert not any(handle.live for handle in pool.handles)
+
+
 def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
     """Two for each worker, however many there are in all, and one that has the turn."""
     pool = Recorder(100, seconds=lambda _: 0.001)
