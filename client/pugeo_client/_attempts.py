@@ -28,7 +28,7 @@ class Attempts:
     Args:
         request: what is sent at each try.
         timeout: seconds for all tries and the waits between them.
-        max_retries: tries after the first.
+        max_retries: tries after failures; a service that is full is no failure.
         on_progress: told of every chunk, or None.
     """
 
@@ -46,6 +46,7 @@ class Attempts:
         self._end = time.monotonic() + timeout
         self._max_retries = max_retries
         self._made = 0
+        self._failed = 0
 
     @property
     def remaining(self) -> float:
@@ -111,6 +112,7 @@ class Attempts:
         delay = _retry.delay_before_retry(
             failure,
             attempt=self._made,
+            failures=self._failed,
             max_retries=self._max_retries,
             remaining=self.remaining,
             jitter=random.random(),  # noqa: S311 - spreads load, guards nothing
@@ -118,4 +120,5 @@ class Attempts:
         if delay is None or not self.request.sendable:
             raise failure
         self._made += 1
+        self._failed += not _retry.asked_to_come_again(failure)
         return delay

@@ -37,7 +37,8 @@ class Client:
         base_url: address of the service; ``PUGEO_URL`` or this machine's port 8000 by default.
         api_key: sent as a bearer token; ``PUGEO_API_KEY`` by default.
         timeout: seconds for a whole call, retries and the waits between them included.
-        max_retries: tries after the first; only failures that may pass are retried.
+        max_retries: tries after failures that may pass; 0 for none. A service that is full and
+            says when to come again (429, 503) is no failure: it is asked until ``timeout``.
         http_client: your own HTTP client (proxies, certificates, pools); you close it.
     """
 

@@ -18,7 +18,13 @@ from pugeo_client.errors import (
 
 
 def decide(failure: PugeoError, **changes: Any) -> float | None:
-    given: dict[str, Any] = {"attempt": 0, "max_retries": 3, "remaining": 1e9, "jitter": 0.5}
+    given: dict[str, Any] = {
+        "attempt": 0,
+        "failures": 0,
+        "max_retries": 3,
+        "remaining": 1e9,
+        "jitter": 0.5,
+    }
     return delay_before_retry(failure, **(given | changes))
 
 
@@ -68,7 +74,7 @@ def test_delays_keep_every_bound(
     failure = status(503, retry_after=asked)
     delay = decide(failure, attempt=attempt, max_retries=99, jitter=jitter, remaining=remaining)
     if delay is None:
-        assert remaining <= max(asked or 0, LONGEST_DELAY) * 1.25 or (asked or 0) > RETRY_AFTER_CAP
+        assert remaining <= (asked or 0) + LONGEST_DELAY or (asked or 0) > RETRY_AFTER_CAP
         return
     assert delay < remaining
     if asked is None:
@@ -76,13 +82,24 @@ def test_delays_keep_every_bound(
         assert backoff / 2 <= delay <= backoff
     else:
         assert asked <= RETRY_AFTER_CAP
-        assert asked <= delay <= asked + LONGEST_DELAY / 4
+        assert asked <= delay <= asked + LONGEST_DELAY
 
 
 def test_retries_are_counted() -> None:
     """After max_retries tries the failure stands."""
-    delays = [decide(ConnectionFailed(), attempt=attempt) for attempt in range(5)]
+    delays = [decide(ConnectionFailed(), attempt=made, failures=made) for made in range(5)]
     assert [delay is None for delay in delays] == [False, False, False, True, True]
+
+
+def test_a_full_service_is_asked_until_the_time_is_up() -> None:
+    """However often it said no; but not where nobody wants a retry, or it does not say when."""
+    full = {"attempt": 50, "failures": 3}
+    for code in (429, 503):
+        assert decide(status(code, retry_after=2.0), **full) is not None
+        assert decide(status(code, retry_after=2.0), **full, remaining=1.0) is None
+        assert decide(status(code, retry_after=2.0), **full, max_retries=0) is None
+        assert decide(status(code), **full) is None
+    assert decide(status(502, retry_after=2.0), **full) is None
 
 
 def test_an_endless_attempt_number_does_not_overflow() -> None:
