@@ -66,7 +66,7 @@ class Spread:
         self._fresh = deque((at, min(at + size, total)) for at in range(0, total, size))
         self._left = len(self._fresh)
         self._queued: dict[int, _Part] = {}
-        self._ended: asyncio.Queue[_Part] = asyncio.Queue()
+        self._ended: asyncio.Queue[_Part | None] = asyncio.Queue()
         self._results: dict[int, Any] = {}
         self._last_done = time.monotonic()
 
@@ -79,11 +79,18 @@ class Spread:
             haste: where others go first; ``None`` where nobody is overtaken.
         """
         hurry = asyncio.create_task(self._hurry(haste)) if haste else None
+        if hurry is not None:
+            hurry.add_done_callback(lambda _: self._ended.put_nowait(None))
         try:
             while self._left:
                 while self._fresh and len(self._queued) < window:
                     self._launch(*self._fresh.popleft(), priority)
                 part = await self._ended.get()
+                if part is None:
+                    # It only ends early with an error, and with the part that it held.
+                    assert hurry is not None
+                    hurry.result()
+                    continue
                 if self._queued.get(part.start) is not part:
                     continue
                 part.waiter.result()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pugeo_service.engine import flow as module
-from pugeo_service.engine.errors import DiskFailed
+from pugeo_service.engine.errors import DiskFailed, EngineLost
 from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
 from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
@@ -300,6 +300,21 @@ def test_progress_is_told(tmp_path: Path) -> None:
     run(Recorder(5), tmp_path, watcher)
     assert told[0] == ("all", 5)
     assert sum(count for what, count in told if what == "done") == 5
+
+
+def test_a_turn_that_fails_ends_the_request(tmp_path: Path) -> None:
+    """Where a part cannot even be queued, nobody waits for it."""
+
+    class Broken(Recorder):
+        def submit(self, stage: str, *args: Any, priority: float, **more: Any) -> Handle:
+            if stage == "cut_patches" and priority == Lanes.FIRST:
+                raise EngineLost("gone")
+            return super().submit(stage, *args, priority=priority, **more)
+
+    pool = Broken(40, seconds=lambda _: 0.001)
+    with pytest.raises(EngineLost):
+        run(pool, tmp_path)
+    assert not any(handle.live for handle in pool.handles)
 
 
 @pytest.mark.parametrize("stage", ["", "predict", "land"])
