@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.finish.spanning import dots
@@ -87,14 +88,7 @@ def gather(
     arms = points - centre[parts]
     ends = np.stack([np.full((total, 3), np.inf), np.full((total, 3), -np.inf)], axis=2)
     end_normals = np.zeros((total, 3, 2))
-    for axis in range(3):
-        order = np.lexsort([points[:, axis], parts])
-        sizes = count.astype(np.intp)
-        there = np.flatnonzero(sizes)
-        stops = np.cumsum(sizes)
-        for end, rows in enumerate((order[(stops - sizes)[there]], order[stops[there] - 1])):
-            ends[there, axis, end] = points[rows, axis]
-            end_normals[there, axis, end] = normals[rows, axis]
+    _find_ends(points, normals, parts, ends, end_normals)
     return Evidence(
         count=count,
         position=position,
@@ -148,14 +142,37 @@ def outward(
     return np.where(verdict < 0, -1.0, 1.0)
 
 
-def _areas(points: NDArray[Any], neighbours: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+@njit(cache=True, nogil=True)
+def _find_ends(
+    points: NDArray[Any],
+    normals: NDArray[Any],
+    parts: NDArray[Any],
+    ends: NDArray[Any],
+    end_normals: NDArray[Any],
+) -> None:
+    """Lowest and highest coordinate of each part, and the normals there."""
+    for i in range(len(points)):
+        part = parts[i]
+        for axis in range(3):
+            if points[i, axis] < ends[part, axis, 0]:
+                ends[part, axis, 0] = points[i, axis]
+                end_normals[part, axis, 0] = normals[i, axis]
+            if points[i, axis] >= ends[part, axis, 1]:
+                ends[part, axis, 1] = points[i, axis]
+                end_normals[part, axis, 1] = normals[i, axis]
+
+
+@njit(cache=True, nogil=True)
+def _areas(points: NDArray[Any], neighbours: NDArray[Any]) -> NDArray[np.float64]:
     """Area that each point stands for, up to a common factor: squared distance to neighbours."""
     count = len(points)
-    total = np.zeros(count)
-    valid = np.zeros(count)
-    for near in neighbours.T:
-        real = (near >= 0) & (near < count)
-        edges = points - points[np.where(real, near, 0)]
-        total += np.where(real, dots(edges, edges), 0.0)
-        valid += real
-    return total / np.maximum(valid, 1.0)
+    areas = np.empty(count)
+    for i in range(count):
+        total, valid = 0.0, 0
+        for j in neighbours[i]:
+            if 0 <= j < count:
+                for a in range(3):
+                    total += (points[j, a] - points[i, a]) ** 2
+                valid += 1
+        areas[i] = total / max(valid, 1)
+    return areas

@@ -36,7 +36,8 @@ def nearest_in_leaves(
     distances = np.empty((len(points), count), dtype=np.float32)
     rows = np.full((len(points), count), -1, dtype=np.int32)
     order = np.arange(len(points), dtype=np.int32)
-    _search(points, *_grow(points, order), order, distances, rows)
+    boxes, child, part = _grow(points, order)
+    _search(points, boxes, child, part, order, distances, rows)
     return distances, rows
 
 

@@ -68,8 +68,8 @@ def cut(
     sizes: list[int] = [len(rows)]
     reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES), None]
     for reach in reaches:
-        columns = neighbours[rows] if reach is None else neighbours[rows, slice(*reach)]
-        fresh = np.unique(columns[place[columns] < 0])
+        start, stop, step = reach or (0, neighbours.shape[1], 1)
+        fresh = np.sort(_outside(rows, neighbours, start, stop, step, place))
         place[fresh] = np.arange(len(rows), len(rows) + len(fresh), dtype=np.int32)
         rows = np.concatenate([rows, fresh])
         sizes.append(len(rows))
@@ -107,7 +107,7 @@ def scalars(frames: Frames) -> NDArray[np.float32]:
 
 def edges(patch: Patch) -> NDArray[np.float32]:
     """Every neighbour in its point's frame, ``(k, rings[0], EDGE)`` float32, in spacings."""
-    out = np.zeros((*patch.neighbours.T.shape, EDGE), dtype=np.float32)
+    out = np.empty((*patch.neighbours.T.shape, EDGE), dtype=np.float32)
     frames = patch.frames
     _edges(patch.points, patch.neighbours, frames.axes, frames.spacing, frames.quadric, out)
     return out
@@ -116,8 +116,9 @@ def edges(patch: Patch) -> NDArray[np.float32]:
 def poses(patch: Patch, rows: int, reach: tuple[int, int, int]) -> NDArray[np.float32]:
     """Where each neighbour's frame lies in its point's frame, ``(k', rows, POSE)`` float32."""
     columns = np.ascontiguousarray(patch.neighbours[:rows, slice(*reach)])
-    out = np.zeros((*columns.T.shape, POSE), dtype=np.float32)
-    _poses(patch.points, columns, patch.frames.axes, patch.frames.spacing, out)
+    out = np.empty((*columns.T.shape, POSE), dtype=np.float32)
+    scale = np.log(patch.frames.spacing)
+    _poses(patch.points, columns, patch.frames.axes, patch.frames.spacing, scale, out)
     return out
 
 
@@ -152,34 +153,45 @@ def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-
             out[j, i, 4] = far
 
 
-@njit(cache=True, nogil=True)
-def _poses(points, columns, axes, spacing, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, fastmath=True)
+def _poses(points, columns, axes, spacing, scale, out):  # type: ignore[no-untyped-def]
     count, k = columns.shape
-    d = np.zeros(3, dtype=np.float32)
+    most = np.float32(_FAR)
     for i in range(count):
         mine = axes[i]
         for j in range(k):
             other = columns[i, j]
             theirs = axes[other]
-            far = np.float32(0.0)
+            x = np.float32((points[other, 0] - points[i, 0]) / spacing[i])
+            y = np.float32((points[other, 1] - points[i, 1]) / spacing[i])
+            z = np.float32((points[other, 2] - points[i, 2]) / spacing[i])
+            far = np.sqrt(x * x + y * y + z * z)
+            if far > most:
+                x, y, z = x * (most / far), y * (most / far), z * (most / far)
+            back = -min(spacing[i] / spacing[other], most / max(far, np.float32(1e-6)))
+            to = out[j, i]
             for a in range(3):
-                d[a] = (points[other, a] - points[i, a]) / spacing[i]
-                far += d[a] * d[a]
-            far = np.sqrt(far)
-            if far > _FAR:
-                for a in range(3):
-                    d[a] *= _FAR / far
-            ratio = spacing[i] / spacing[other]
-            back = min(ratio, _FAR / max(far, np.float32(1e-6)))
-            for a in range(3):
-                out[j, i, a] = mine[a, 0] * d[0] + mine[a, 1] * d[1] + mine[a, 2] * d[2]
-                out[j, i, 12 + a] = -back * (
-                    theirs[a, 0] * d[0] + theirs[a, 1] * d[1] + theirs[a, 2] * d[2]
-                )
+                to[a] = mine[a, 0] * x + mine[a, 1] * y + mine[a, 2] * z
+                to[12 + a] = back * (theirs[a, 0] * x + theirs[a, 1] * y + theirs[a, 2] * z)
                 for b in range(3):
-                    out[j, i, 3 + 3 * a + b] = (
+                    to[3 + 3 * a + b] = (
                         mine[a, 0] * theirs[b, 0]
                         + mine[a, 1] * theirs[b, 1]
                         + mine[a, 2] * theirs[b, 2]
                     )
-            out[j, i, 15] = min(max(-np.log(ratio), -3.0), 3.0)
+            to[15] = min(max(scale[other] - scale[i], np.float32(-3.0)), np.float32(3.0))
+
+
+@njit(cache=True, nogil=True)
+def _outside(rows, neighbours, start, stop, step, place):  # type: ignore[no-untyped-def]
+    """Neighbours of the rows, in some columns, that have no place yet, each once."""
+    found = np.empty(rows.size * ((stop - start + step - 1) // step), dtype=np.int32)
+    count = 0
+    for row in rows:
+        for column in range(start, stop, step):
+            other = neighbours[row, column]
+            if place[other] == -1:
+                place[other] = -2
+                found[count] = other
+                count += 1
+    return found[:count]

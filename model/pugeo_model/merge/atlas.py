@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
+from pugeo_model.merge.crowd import by_chart
 from pugeo_model.merge.placement import nearest_charts
 
 __all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels"]
@@ -141,11 +142,11 @@ def parcels(
         fixed: the spots stay where they are.
     """
     near = nearest_charts(spots, owner, points, neighbours, BLENDED)
-    home = np.searchsorted(ends, owner, side="right")
-    order = np.argsort(home, kind="stable")
+    patch = np.searchsorted(ends, np.arange(len(points)), side="right").astype(np.int32)
+    start, order = by_chart(patch[owner], len(ends) + 1)
     found = []
     place = np.full(len(points), -1, dtype=np.int32)
-    for part in np.split(order, np.searchsorted(home[order], np.arange(1, len(ends) + 1))):
+    for part in np.split(order, start[1:-1]):
         used, local = _renumber(near[part], place)
         found.append(
             Landing(

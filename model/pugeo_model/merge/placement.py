@@ -134,22 +134,36 @@ def nearest_charts(
 
 @njit(cache=True, nogil=True)
 def _nearest_charts(spots, owner, points, neighbours, found):  # type: ignore[no-untyped-def]
-    count = found.shape[1]
+    count, k = found.shape[1], neighbours.shape[1]
     best = np.empty(count)
+    charts = np.empty(k + 1, dtype=np.int32)
+    around = np.empty((3, k + 1))
+    squared = np.empty(k + 1)
+    before = -1
     for i in range(len(spots)):
+        if owner[i] != before:
+            # Spots mostly come chart by chart: what is around one is looked up once.
+            before = owner[i]
+            charts[0], charts[1:] = before, neighbours[before]
+            for near in range(k + 1):
+                for a in range(3):
+                    around[a, near] = points[charts[near], a]
+        x, y, z = spots[i, 0], spots[i, 1], spots[i, 2]
+        for near in range(k + 1):
+            a = x - around[0, near]
+            b = y - around[1, near]
+            c = z - around[2, near]
+            squared[near] = a * a + b * b + c * c
         best[:] = np.inf
-        found[i, :] = owner[i]
-        for near in range(-1, neighbours.shape[1]):
-            chart = owner[i] if near < 0 else neighbours[owner[i], near]
-            d = 0.0
-            for a in range(3):
-                d += (spots[i, a] - points[chart, a]) ** 2
-            at = count
+        found[i, :] = before
+        for near in range(k + 1):
+            d = squared[near]
+            if d >= best[count - 1]:
+                continue
+            at = count - 1
             while at > 0 and d < best[at - 1]:
+                best[at] = best[at - 1]
+                found[i, at] = found[i, at - 1]
                 at -= 1
-            if at < count:
-                for later in range(count - 1, at, -1):
-                    best[later] = best[later - 1]
-                    found[i, later] = found[i, later - 1]
-                best[at] = d
-                found[i, at] = chart
+            best[at] = d
+            found[i, at] = charts[near]

@@ -15,6 +15,7 @@ from torch.nn import functional
 from pugeo_model.merge.atlas import Landing
 from pugeo_model.network.blend import FALLOFF, TRUST
 from pugeo_model.network.heads import LOG_ERROR, Surface
+from pugeo_model.network.precision import bfloat16_pays
 
 __all__ = ["Lander", "settle"]
 
@@ -32,9 +33,11 @@ class Lander:
     """
 
     def __init__(self, surface: Surface) -> None:
-        # Rounded here once, as autocast would round them in every call.
-        self.hidden = surface.hidden.weight.detach().to(torch.bfloat16)
-        self.hidden_bias = surface.hidden.bias.detach().to(torch.bfloat16)
+        # Rounded here once, as autocast would round them in every call. Where bfloat16 does not
+        # pay, the same numbers are multiplied in float32.
+        self.kind = torch.bfloat16 if bfloat16_pays() else torch.float32
+        self.hidden = surface.hidden.weight.detach().to(torch.bfloat16).to(self.kind)
+        self.hidden_bias = surface.hidden.bias.detach().to(torch.bfloat16).to(self.kind)
         self.terms = np.ascontiguousarray(surface.terms.weight.detach().float().numpy().T)
         self.out = np.ascontiguousarray(surface.out.weight.detach().float().numpy())
         self.bias = surface.out.bias.detach().float().numpy().copy()
@@ -67,7 +70,8 @@ class Lander:
             rows = landing.charts[part].ravel()
             _place(landing.spots[part], rows, landing.points, sheets, terms, offsets)
             _enter(rows, codes, terms, self.terms, first)
-            hidden = functional.linear(ready[: len(rows)], self.hidden, self.hidden_bias)
+            seen = ready[: len(rows)].to(self.kind)
+            hidden = functional.linear(seen, self.hidden, self.hidden_bias).to(torch.bfloat16)
             _leave(
                 hidden.view(torch.int16).numpy(),
                 landing.charts[part],

@@ -7,9 +7,11 @@ neighbour, several times faster than a reduction in the middle.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pugeo_model.geometry.patches import MESSAGES, Patch, edges, poses, scalars
@@ -56,20 +58,26 @@ def gather(patches: Sequence[Patch]) -> Neighbourhoods:
         now = [(*p.rings, p.core)[turn + 1] for p in patches]
         rows = [s + np.arange(n) for s, n in zip(starts, now, strict=True)]
         sources = [
-            s + p.neighbours[:n, slice(*reach)].T.astype(np.int64)
+            s + np.ascontiguousarray(p.neighbours[:n, slice(*reach)].T, dtype=np.int64)
             for p, s, n in zip(patches, starts, now, strict=True)
         ]
         pose = [poses(p, n, reach) for p, n in zip(patches, now, strict=True)]
         rounds.append(
             Round(
-                torch.from_numpy(np.concatenate(rows)),
-                torch.from_numpy(np.concatenate(sources, axis=1)),
-                torch.from_numpy(np.concatenate(pose, axis=1)),
+                _joined(rows),
+                _joined(sources, axis=1),
+                _joined(pose, axis=1),
             )
         )
         before = now
     return Neighbourhoods(
-        torch.from_numpy(np.concatenate([edges(p) for p in patches], axis=1)),
-        torch.from_numpy(np.concatenate([scalars(p.frames) for p in patches])),
+        _joined([edges(p) for p in patches], axis=1),
+        _joined([scalars(p.frames) for p in patches]),
         tuple(rounds),
     )
+
+
+def _joined(parts: Sequence[NDArray[Any]], axis: int = 0) -> Tensor:
+    """Arrays one after the other; what is alone, as in serving, is not copied."""
+    joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
+    return torch.from_numpy(joined)

@@ -18,18 +18,18 @@ CLOUDS = {
 
 
 @pytest.mark.parametrize("cloud", CLOUDS.values(), ids=CLOUDS)
-def test_the_tree_finds_the_same(cloud):
+def test_the_tree_finds_the_same(cloud: np.ndarray) -> None:
     """Distances are those that a k-d tree finds, and rows lie at these distances."""
-    expected = cKDTree(cloud).query(cloud, 33)[0][:, 1:].astype(np.float32)
+    expected = cKDTree(cloud).query(cloud, np.arange(1, 34))[0]
     distances, rows = nearest(cloud)
-    np.testing.assert_array_equal(distances, expected)
+    np.testing.assert_array_equal(distances, np.asarray(expected, np.float32)[:, 1:])
     apart = np.linalg.norm(cloud[rows] - cloud[:, None], axis=2)
     np.testing.assert_allclose(apart, distances, rtol=1e-6, atol=1e-12)
     assert not (rows == np.arange(len(cloud))[:, None]).any()
     assert (np.diff(np.sort(rows, axis=1)) > 0).all()
 
 
-def test_equals_come_in_their_order():
+def test_equals_come_in_their_order() -> None:
     """On a lattice, where many neighbours are equally far, lower rows come first."""
     axes = np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij")
     lattice = np.stack(axes, axis=-1).reshape(-1, 3)
@@ -38,7 +38,7 @@ def test_equals_come_in_their_order():
     assert (rows[:, 1:] > rows[:, :-1])[same].all()
 
 
-def test_a_crowd_around_a_leaf_is_left_to_the_caller():
+def test_a_crowd_around_a_leaf_is_left_to_the_caller() -> None:
     """Points with thousands of others around them are told apart, not searched at length."""
     dense = RNG.normal(0, 1e-4, (20_000, 3))
     _, rows = nearest_in_leaves(np.concatenate([dense, RNG.random((40, 3))]), 32)

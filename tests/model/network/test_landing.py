@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from pugeo_model.merge.atlas import Landing
+from pugeo_model.network import landing
 from pugeo_model.network.blend import blend
 from pugeo_model.network.heads import Surface
 from pugeo_model.network.landing import Lander
@@ -82,3 +83,16 @@ def test_a_landing_repeats_to_the_bit(parcel: Landing) -> None:
     lander = Lander(Surface(16, WIDTH, 64))
     once, twice = lander(parcel), lander(parcel)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))
+
+
+def test_a_processor_without_bfloat16_lands_alike(
+    parcel: Landing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the wide layer is multiplied in float32, points come to lie where they would."""
+    surface = Surface(16, WIDTH, 64)
+    landed = []
+    for pays in (True, False):
+        monkeypatch.setattr(landing, "bfloat16_pays", lambda pays=pays: pays)
+        landed.append(Lander(surface)(parcel))
+    for one, other in zip(*landed, strict=True):
+        np.testing.assert_allclose(one, other, atol=0.01)
