@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
     Piece,
@@ -84,7 +85,11 @@ class Upsampler:
             parcels = merge(job, charts, candidates)
             points = spread("land", parcels, lambda part: land(self.model, part))
             tell("finish", 0, 1)
-            return finish(job, points)
+            piece = finish(job, points)
+            if len(plan.cuts) > 1:
+                # What tiles leave free between the pieces that stay would add up.
+                give_back_freed_memory()
+            return piece
 
         plan = survey(cloud, options)
         tiles = (plan.tile(number) for number in range(len(plan.cuts)))
