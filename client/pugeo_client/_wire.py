@@ -91,8 +91,8 @@ class Options(TypedDict, total=False):
             or ``none``.
         viewpoint: ``(x, y, z)`` that normals face, in the cloud's own frame.
         seed: of the placement; the same seed gives the same cloud.
-        keep_input: begin with the input points, untouched and in their order; by default every
-            point is new, and noise is smoothed away.
+        keep_input: begin with the input points, untouched and in their order; by default
+            noise is smoothed away, and of a clean input those stay that fit an even spread.
     """
 
     n_points: int | None

@@ -26,7 +26,8 @@ class Options:
         viewpoint: sensor position in the cloud's own frame and units.
         seed: 0..2^63-1; other seeds give other, equally even samples.
         keep_input: the cleaned input points lead the answer, untouched and in their order, and
-            the rest is spread among them. Else every point is new, and noise is smoothed away.
+            the rest is spread among them. Else noise is smoothed away, and of a clean input those
+            points stay that fit into an even spread.
 
     Raises:
         BadOption: a value out of range; its ``fields`` name it.

@@ -59,6 +59,9 @@ __all__ = [
 ]
 
 _OVERSAMPLE = 1.5  # candidates a point wanted
+# Spacings that half of the input's points move at most, when they land, of an input without noise:
+# 0.002 to 0.007 on clean and even validation inputs, to 0.03 on random ones, 0.02 to 0.18 with 1 %.
+_EXACT = 0.02
 _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
 _NONE = np.empty((0, 0), dtype=np.int32)
 _FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
@@ -161,7 +164,7 @@ class Piece:
         parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
             signs are final.
         sides: what the tile knows of its parts, where they are not.
-        noise: median residual of its input.
+        noise: of its input, see `noise_level`.
     """
 
     cloud: Cloud
@@ -243,13 +246,21 @@ def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
 
 
 def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
-    """The candidates of all charts, in parcels with the charts they land on."""
+    """The candidates of all charts, in parcels with the charts they land on.
+
+    A parcel is led by the input points of its patch: where they land tells what they are worth.
+    """
     if job.nothing_new:
         return []
     atlas = bind(charts)
+    rows = np.arange(len(job.points), dtype=np.int32)
     spots = (job.points[:, None] + atlas.candidates).reshape(-1, 3)
-    owner = np.repeat(np.arange(len(job.points), dtype=np.int32), job.candidates)
-    return _parcels(job, atlas, spots, owner)
+    return _parcels(
+        job,
+        atlas,
+        np.concatenate([job.points, spots]),
+        np.concatenate([rows, np.repeat(rows, job.candidates)]),
+    )
 
 
 def land(model: "Model", landing: Landing) -> Landed:
@@ -260,25 +271,33 @@ def land(model: "Model", landing: Landing) -> Landed:
 def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]) -> list[Landing]:
     """Decide where the output points go; parcels of them, with the charts they land on."""
     atlas = bind(charts)
-    rows = np.flatnonzero(job.core).astype(np.int32)
-    keeps = job.tile.keeps_input
-    own = _parcels(job, atlas, job.points[rows], rows, fixed=True) if keeps else []
     if job.nothing_new:
-        return own
-    landed = Landed.join(candidates)
-    spots, owner = place(
-        landed.points,
-        landed.normals,
-        landed.error,
-        landed.nearest,
+        rows = np.flatnonzero(job.core).astype(np.int32)
+        return _parcels(job, atlas, job.points[rows], rows, fixed=True)
+    leads = [patch.core for patch in job.patches]
+    own = Landed.join([part.take(slice(0, n)) for part, n in zip(candidates, leads, strict=True)])
+    new = Landed.join(
+        [part.take(slice(n, None)) for part, n in zip(candidates, leads, strict=True)]
+    )
+    moved = np.linalg.norm(own.points - job.points, axis=1) / job.frames.spacing
+    pinned = None
+    if job.tile.keeps_input or np.median(moved) < _EXACT:
+        pinned = job.points, own.normals
+    stay, spots, owner = place(
+        new.points,
+        new.normals,
+        new.error,
+        new.nearest,
         job.tile.n_out,
         shares(job.frames.spacing, job.neighbours),
         job.neighbours,
         job.tile.seed,
-        (job.points, job.frames.axes[:, 2]) if keeps else None,
+        pinned,
         job.core,
+        all_stay=job.tile.keeps_input,
     )
-    return own + _parcels(job, atlas, spots, owner)
+    own_parcels = _parcels(job, atlas, job.points[stay], stay, fixed=True) if len(stay) else []
+    return own_parcels + _parcels(job, atlas, spots, owner)
 
 
 def _parcels(

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.chunks import chunks
-from pugeo_model.geometry.frames import fit_frames
+from pugeo_model.geometry.frames import fit_frames, noise_level
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
 from pugeo_model.normalise import Placement
 
@@ -59,7 +59,7 @@ class Tile:
         n_out: points of the answer that the tile gives.
         candidates: candidates a chart.
         keeps_input: the points of the core come back themselves, and the rest is spread among them.
-        noise: median residual of the whole cloud, or ``None`` where the tile is the whole.
+        noise: of the whole cloud, see `noise_level`, or ``None`` where the tile is the whole.
         placement: offset and scale taken out.
         orient: how normals get their signs, never ``auto``.
         viewpoint: in the cloud's own frame and units.
@@ -146,7 +146,7 @@ def _typical_spacing(tree: cKDTree) -> float:
 
 
 def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
-    """The median residual over points of some tiles."""
+    """The noise of a cloud, by points of some tiles."""
     found = []
     for cut in cuts:
         here = points[cut.rows]
@@ -157,4 +157,4 @@ def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
         stacked = np.concatenate([here[some], here])
         frames = fit_frames(stacked, near, spacing(distances[:, 1:].astype(np.float32)))
         found.append(frames.residual[: len(some)])
-    return float(np.median(np.concatenate(found)))
+    return noise_level(np.concatenate(found))

@@ -51,7 +51,7 @@ class UpsampleQuery(BaseModel):
         bool,
         Field(
             description="Begin with the cleaned input points, untouched and in their order; "
-            "else every point is new, and noise is smoothed away."
+            "else noise is smoothed away, and of clean input those stay that fit an even spread."
         ),
     ] = False
     format: Annotated[

@@ -2,6 +2,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from pugeo_model import BadOption, Cloud, UntreatableCloud
 from pugeo_model.metrics.clouds import evenness
@@ -223,3 +224,15 @@ def test_nearly_duplicate_points(upsampler, sphere):
     dense = upsampler(close, 4).cloud
     assert np.isfinite(dense.points).all()
     assert np.abs(np.linalg.norm(dense.points, axis=1) - 1).mean() < 0.02
+
+
+def test_points_of_a_clean_input_may_stay(upsampler, sphere):
+    """Where they survive beside the candidates, as on a tip that no chart reaches; not if noisy."""
+    tip = np.array([[0.0, 0.0, 1.12]])
+    spiked = np.concatenate([sphere, tip])
+    noise = np.random.default_rng(0).normal(size=spiked.shape, scale=0.01)
+    for points, stays in ((spiked, True), (spiked + noise, False)):
+        dense = upsampler(points, 4).cloud.points
+        apart = np.min(cKDTree(dense).query(points[-1])[0])
+        assert bool(apart < 1e-9) is stays
+        assert evenness(dense) < 0.12

@@ -8,12 +8,13 @@ starts, so no augmentation has to teach them. Lengths in a frame are in units of
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["QUADRIC", "Frames", "fit_frames", "flip_frames"]
+__all__ = ["QUADRIC", "Frames", "fit_frames", "flip_frames", "noise_level"]
 
 QUADRIC = 6
 """Coefficients ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
@@ -22,6 +23,7 @@ _SUPPORT = 1.6  # Gaussian support of the fit in spacings, on clean input
 _WIDEST = 3.0  # on the noisiest: 32 neighbours reach no further
 _NOISE_GAIN = 6.0  # spacings of support per spacing of height residual
 _NOTHING = 30.0  # exponent beyond which a weight is none
+_NOISE_QUANTILE = 0.1
 _CLEAN = 0.06  # residual, in spacings, that curvature alone leaves on clean input
 
 
@@ -34,7 +36,7 @@ class Frames:
         spacing: ``(M,)`` float32, the points' units.
         quadric: ``(M, 6)`` float32, in the frame, lengths in spacings.
         residual: ``(M,)`` float32, weighted RMS height above the quadric, in spacings.
-        noise: the median residual of the whole cloud, in spacings.
+        noise: of the whole cloud, in spacings, see `noise_level`.
     """
 
     axes: NDArray[np.float32]
@@ -56,7 +58,7 @@ def fit_frames(
         points: ``(M, 3)`` float64.
         neighbours: ``(M, k)`` int32, nearest first.
         spacing: ``(M,)`` float32.
-        noise: the cloud's median residual where it is known already; measured otherwise.
+        noise: the cloud's, where it is known already; measured otherwise.
     """
     count = len(points)
     axes = np.zeros((count, 3, 3))
@@ -64,7 +66,7 @@ def fit_frames(
     residual = np.zeros(count)
     _rough(points, neighbours, spacing, axes, quadric, residual)
     if noise is None:
-        noise = float(np.median(residual))
+        noise = noise_level(residual)
     support = min(_SUPPORT + _NOISE_GAIN * max(noise - _CLEAN, 0.0), _WIDEST)
     _fine(points, neighbours, spacing, support, axes, quadric, residual)
     return Frames(
@@ -74,6 +76,14 @@ def fit_frames(
         residual.astype(np.float32),
         noise,
     )
+
+
+def noise_level(residual: NDArray[Any]) -> float:
+    """The noise of a cloud, in spacings, from its residuals ``(M,)``.
+
+    Detail leaves residuals here and there, noise everywhere: so it is what nine in ten exceed.
+    """
+    return float(np.quantile(residual, _NOISE_QUANTILE))
 
 
 def flip_frames(frames: Frames, normal: NDArray[np.bool_], tangent: NDArray[np.bool_]) -> Frames:

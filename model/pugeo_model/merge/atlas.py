@@ -92,7 +92,7 @@ class Landed:
     error: NDArray[np.float32]
     nearest: NDArray[np.int32]
 
-    def take(self, rows: NDArray[np.integer[Any]]) -> "Landed":
+    def take(self, rows: NDArray[np.integer[Any]] | slice) -> "Landed":
         """The points of the given rows, in that order."""
         return Landed(self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows])
 

@@ -47,7 +47,9 @@ def place(
     seed: int,
     pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
     core: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    *,
+    all_stay: bool = False,
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
     """Where the output points go: eliminate, then let the survivors settle.
 
     Args:
@@ -59,13 +61,15 @@ def place(
         share: ``(M,)`` area of each chart, see :func:`shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
-        pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these are
-            among the ``wanted`` and stay where they are.
+        pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these may
+            be among the ``wanted`` and then stay where they are.
         core: ``(M,)`` charts whose points are wanted, ``None`` for all; the others are a margin
             that keeps the core's border even.
+        all_stay: all that are pinned are among the ``wanted``, even or not.
 
     Returns:
-        Spots float64 and the owner int32 of each, of the core, without those pinned.
+        Of the core: the charts whose own points stay, ascending; the other spots, float64; and the
+        owner of each of these, int32.
     """
     core = np.ones(len(share), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
@@ -75,19 +79,22 @@ def place(
     held = 0
     if pinned is not None:
         held = len(near)
+        owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
-        owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
-        burden = np.concatenate([np.full(held, _PINNED), burden])
+        burden = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), burden])
     lists = crowd(candidates, owner, near, reach[owner], _CROWD)
     kept = eliminate(candidates, lists, reach[owner], wanted, burden, core[owner])
     spots, owner = candidates[kept], owner[kept]
+    first = int(np.searchsorted(kept, held))
     lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
     push = reach[owner]
-    push[:held] = 0.0  # pushes, and is not pushed
-    spots, owner = repel(spots, normals[kept], lists, push, _ROUNDS)[held:], owner[held:]
+    push[:first] = 0.0  # pushes, and is not pushed
+    spots = repel(spots, normals[kept], lists, push, _ROUNDS)
     mine = core[owner]
-    return spots[mine], owner[mine]
+    stay = owner[:first][mine[:first]]
+    mine[:first] = False
+    return stay, spots[mine], owner[mine]
 
 
 def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:

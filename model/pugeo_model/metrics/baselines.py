@@ -136,7 +136,7 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
     pattern = np.tile(_DISK * disk(job.candidates).astype(np.float64), (len(job.points), 1))
     proposed, _ = charts.lift(owner, pattern)
     candidates = charts.land(proposed, owner, job.neighbours)
-    spots, owner = place(
+    _, spots, owner = place(
         candidates.points,
         candidates.normals,
         candidates.error,

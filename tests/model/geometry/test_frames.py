@@ -82,3 +82,13 @@ def test_flipped_frames_describe_the_same_surface(cylinder):
         return np.einsum("mc,mcd->md", np.stack([u + 0 * h, v + 0 * h, h], axis=1), f.axes)
 
     np.testing.assert_allclose(surface(flipped), surface(frames), atol=1e-5)
+
+
+def test_noise_is_told_from_detail(plane):
+    """A plane a part of which is bumpy is clean; one that is noisy everywhere is not."""
+    points, normal = plane
+    rough = np.arange(len(points)) < len(points) // 2
+    height = np.random.default_rng(0).normal(size=(len(points), 1), scale=0.008)
+    bumpy = points + rough[np.argsort(np.argsort(points[:, 0])), None] * height * normal
+    assert frames_of(bumpy).noise < 0.02
+    assert frames_of(points + height * normal).noise > 0.1

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -15,6 +17,7 @@ from pugeo_model.training.losses import JointLoss
 from pugeo_model.training.recipes import available_recipes, read_recipe
 from pugeo_model.training.run import load_shapes, run
 from pugeo_model.training.trainer import Recipe, Trainer, learning_rate
+from pugeo_model.weights import available, read_card
 
 SMALL = Architecture(features=32, options=(("width", 16), ("edge_width", 16)))
 
@@ -126,9 +129,12 @@ def test_resumes_exactly(shapes, meshes, tmp_path):
 
 @pytest.mark.parametrize("name", available_recipes())
 def test_recipes_of_released_weights(name):
-    """Each can be read and makes a network."""
+    """Each can be read and makes a network; the card of the weights says what they say."""
     recipe = read_recipe(name)
     assert recipe.to_json()["architecture"] == PUGeoNet(recipe.architecture).architecture.to_json()
+    if name in available():
+        trained = read_card(name)["training"]["recipe"]
+        assert json.dumps(trained) == json.dumps(recipe.to_json())
 
 
 def test_a_recipe_of_ones_own(tmp_path):
