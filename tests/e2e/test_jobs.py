@@ -46,7 +46,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(60_000)
+SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(200_000)
 
 
 def eventually(check: Callable[[], bool], seconds: float = 90.0) -> float:
@@ -147,7 +147,7 @@ def test_a_drain_parks_jobs_and_ends_streams(launch: Any, tmp_path: Path) -> Non
     with launch(PUGEO_JOBS_DIR=folder) as other:
         other.wait_until_ready()
         dense = formats.read(io.BytesIO(finish(other, job_id)), format="ply")
-        assert len(dense.points) == 120_000
+        assert len(dense.points) == 400_000
         job = httpx2.get(f"{other.url}/jobs/{job_id}").json()
         assert job["attempts"] == 1
 

@@ -30,7 +30,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(40_000)
+SMALL, LARGE = ball(3000), ball(120_000)
 
 
 def bearer(name: str) -> dict[str, str]:
@@ -59,7 +59,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
     """One owner's large cloud leaves room for another's; keys rotate; deadlines end work."""
     path = tmp_path / "keys"
     write_keys(path, "ann")
-    options = ["--queue-patches", "33", "--metrics-port", "0", "--api-keys-file", str(path)]
+    options = ["--queue-patches", "100", "--metrics-port", "0", "--api-keys-file", str(path)]
     with launch(*options) as server:
         server.wait_until_ready()
         url = f"{server.url}/upsample?R=2"

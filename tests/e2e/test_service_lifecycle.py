@@ -31,7 +31,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(60_000)
+SMALL, LARGE = ball(3000), ball(200_000)
 
 
 class Post(threading.Thread):
@@ -74,7 +74,7 @@ def test_sigterm_drains(launch: Any) -> None:
         accepted.join()
         assert accepted.response is not None
         assert accepted.response.status_code == 200
-        assert accepted.response.headers["pugeo-points-out"] == "120000"
+        assert accepted.response.headers["pugeo-points-out"] == "400000"
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.6, 1.2, 2.4])
