@@ -43,11 +43,15 @@ class Connection(BoundedHeads):
         super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
-        """See that a body which nobody reads comes to an end."""
+        """See that a body which nobody reads comes to an end, and so an answer."""
         answered = self._answering
         super().on_response_complete()
         if answered is not None and answered.more_body:
             self._linger = self.loop.call_later(LINGER_S, self.transport.abort)
+        # What is left may be too little to count as slow; yet closing would wait for it for ever.
+        left = self.transport.get_write_buffer_size()
+        if left and self._patience is None:
+            self._wait_for_reader(left)
 
     def on_message_complete(self) -> None:
         """It did."""
@@ -74,9 +78,10 @@ class Connection(BoundedHeads):
 
     def _look_at_reader(self, waited: int) -> None:
         waiting = self.transport.get_write_buffer_size()
-        if waiting < waited:
+        self._patience = None
+        if waiting and waiting < waited:
             self._wait_for_reader(waiting)
-        else:
+        elif waiting:
             # Closing would wait for the buffer to drain, which is what never happens.
             self.transport.abort()
 

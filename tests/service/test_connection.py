@@ -59,10 +59,25 @@ class Refusal(Large):
             await send({"type": "http.response.body", "body": b""})
 
 
+class Short(Large):
+    """An application whose answer is smaller than what asyncio would call a full buffer."""
+
+    size = 60_000
+
+    async def __call__(self, scope: Any, _receive: Any, send: Any) -> None:
+        if scope["type"] == "http":
+            headers = [(b"content-length", str(self.size).encode())]
+            await send({"type": "http.response.start", "status": 200, "headers": headers})
+            await send({"type": "http.response.body", "body": bytes(self.size)})
+
+
 @contextmanager
 def serving(app: Large) -> Iterator[tuple[str, int]]:
     """Serve on a free port."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
+        if isinstance(app, Short):
+            # Else the kernel would hold all of it.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         config = uvicorn.Config(app, http=Connection, ws="none", lifespan="off", log_config=None)
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
@@ -96,6 +111,22 @@ def test_a_client_that_stops_reading(monkeypatch: pytest.MonkeyPatch) -> None:
         while data := client.recv(1 << 20):
             received += len(data)
         assert received < len(PIECE) * PIECES
+
+
+def test_a_client_that_leaves_a_short_answer_lying(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is cut off like any other, though the answer never filled a buffer."""
+    monkeypatch.setattr(connection, "DEAF_S", 0.3)
+    with serving(Short()) as address, socket.socket() as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        client.connect(address)
+        client.sendall(GET)
+        time.sleep(2)
+        client.settimeout(20)
+        received = 0
+        with contextlib.suppress(ConnectionResetError):
+            while data := client.recv(1 << 16):
+                received += len(data)
+        assert received < Short.size
 
 
 def test_a_client_that_reads_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
