@@ -7,6 +7,7 @@ import errno
 import hashlib
 import os
 import stat
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -40,6 +41,10 @@ class NewFile(Sink):
         self._target = target
         self._file: BinaryIO | None = None
         self._sha256 = hashlib.sha256()
+        # Whoever is cancelled leaves a thread behind that still stores: it must not open the file
+        # of somebody who has closed it.
+        self._lock = threading.RLock()
+        self._closed = False
 
     @property
     def sha256(self) -> str:
@@ -58,30 +63,36 @@ class NewFile(Sink):
     def close(self) -> None:
         """Remove what was written and not committed."""
         super().close()
-        if self._file is not None:
-            # A full disk may refuse what the buffer still holds; it is not wanted any more.
-            with contextlib.suppress(OSError):
-                self._file.close()
-            self._file = None
-        self._part.unlink(missing_ok=True)
+        with self._lock:
+            self._closed = True
+            if self._file is not None:
+                # A full disk may refuse what the buffer still holds; it is not wanted any more.
+                with contextlib.suppress(OSError):
+                    self._file.close()
+                self._file = None
+            self._part.unlink(missing_ok=True)
 
     def _store(self, data: bytearray) -> None:
-        if self._file is None:
-            descriptor = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            self._file = os.fdopen(descriptor, "wb")
-        self._sha256.update(data)
-        self._file.write(data)
+        with self._lock:
+            if self._closed:
+                return
+            if self._file is None:
+                descriptor = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+                self._file = os.fdopen(descriptor, "wb")
+            self._sha256.update(data)
+            self._file.write(data)
 
     def _publish(self) -> None:
-        if self._file is None:
+        with self._lock:
             self._store(bytearray())
-        assert self._file is not None
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        self._file = None
-        self._part.replace(self._target)
-        _sync_folder(self._target.parent)
+            if self._file is None:
+                return
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self._file = None
+            self._part.replace(self._target)
+            _sync_folder(self._target.parent)
 
 
 class StoredInput:
