@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 from pugeo_model.finish.outside import Evidence, gather, outward
-from pugeo_model.finish.spanning import dots, hand_on, relative_signs, span
+from pugeo_model.finish.spanning import dots, join, relative_signs
 
 __all__ = ["Sides", "signs_of_parts", "take_sides"]
 
@@ -63,19 +62,13 @@ def take_sides(
 
 def signs_of_parts(tiles: Sequence[Sides]) -> list[NDArray[np.float64]]:
     """Signs, for each tile those of its parts, by which all normals point outward together."""
-    sizes = [len(tile.evidence.count) for tile in tiles]
-    first = np.cumsum([0, *sizes])
-    total = int(first[-1])
-    if len(tiles) == 1:
-        groups, signs = np.arange(total), np.ones(total)
-    else:
-        left, right, votes = _votes(tiles, first)
-        # Many points that agree (or disagree) well make a short edge.
-        graph = coo_array((1.0 / (1e-3 + np.abs(votes)), (left, right)), shape=(total, total))
-        parents, groups = span(graph.tocsr())
-        signs = hand_on(parents, _along(parents, left, right, votes))
-    joined = Evidence.join([tile.evidence for tile in tiles])
-    signs = signs * outward(joined, groups, signs)[groups]
+    first = np.cumsum([0, *(len(tile.evidence.count) for tile in tiles)])
+    left, right, votes = _votes(tiles, first)
+    # Many points that agree (or disagree) well make a light edge.
+    weights = (1.0 / (1e-3 + np.abs(votes))).astype(np.float32)
+    signs, groups = join(int(first[-1]), left, right, weights, votes < 0)
+    evidence = Evidence.join([tile.evidence for tile in tiles])
+    signs = signs * outward(evidence, groups, signs)[groups]
     return np.split(signs, first[1:-1])
 
 
@@ -105,17 +98,3 @@ def _votes(
     votes = np.zeros(len(found))
     np.add.at(votes, which, np.concatenate(cosines))
     return found // first[-1], found % first[-1], votes
-
-
-def _along(
-    parents: NDArray[np.intp],
-    left: NDArray[np.intp],
-    right: NDArray[np.intp],
-    votes: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """The vote between each node and its parent; a root has none."""
-    found = np.ones(len(parents))
-    for one, other in ((left, right), (right, left)):
-        child = parents[one] == other
-        found[one[child]] = votes[child]
-    return found

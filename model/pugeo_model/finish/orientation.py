@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.errors import BadOption
-from pugeo_model.finish.outside import gather, outward
-from pugeo_model.finish.spanning import dots, relative_signs
+from pugeo_model.finish.joining import signs_of_parts, take_sides
+from pugeo_model.finish.spanning import dots
 
-__all__ = ["DIRECT", "METHODS", "orient", "propagate"]
+__all__ = ["METHODS", "method_of", "orient", "propagate"]
 
 METHODS = ("auto", "input", "viewpoint", "mst", "outward", "none")
-DIRECT = ("viewpoint", "outward", "none")
-"""Methods that look at each point alone, so that dense normals need no sparse ones."""
 
 
 def orient(
@@ -153,7 +151,12 @@ def _signs_of_tree(
 ) -> NDArray[np.float64]:
     # Float64 and near the origin: products of coordinates follow.
     points = points - points.mean(axis=0, dtype=np.float64)
-    signs, parts = relative_signs(points, normals, neighbours)
-    total = int(parts.max()) + 1
-    evidence = gather(points, normals * signs[:, None], parts, total, neighbours)
-    return signs * outward(evidence, np.arange(total), np.ones(total))[parts]
+    sides = take_sides(
+        np.arange(len(points), dtype=np.int32),
+        np.ones(len(points), dtype=np.bool_),
+        points,
+        normals,
+        neighbours,
+    )
+    agreed = _signs(dots(normals, sides.normals))
+    return agreed * signs_of_parts([sides])[0][sides.parts]

@@ -60,7 +60,7 @@ def gather(
     parts: NDArray[np.intp],
     total: int,
     neighbours: NDArray[np.integer[Any]],
-    core: NDArray[np.bool_] | None = None,
+    core: NDArray[np.bool_],
 ) -> Evidence:
     """Sum up what speaks for a side.
 
@@ -70,12 +70,11 @@ def gather(
         parts: ``(M,)`` in ``0..total-1``.
         total: number of parts.
         neighbours: ``(M, k)`` rows.
-        core: ``(M,)`` points that count, ``None`` for all.
+        core: ``(M,)`` points that count.
     """
-    area = _areas(points, neighbours)
-    if core is not None:
-        points, normals, parts, area = points[core], normals[core], parts[core], area[core]
-    normals = normals.astype(np.float64)
+    area = _areas(points, neighbours)[core]
+    points, parts = points[core], parts[core]
+    normals = normals[core].astype(np.float64)
 
     def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
         if values.ndim == 1:
