@@ -18,7 +18,7 @@ merge then spreads points that are where they seem to be.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +75,7 @@ class Plan:
         cloud: the cleaned input.
         points: ``(M, 3)`` float64, unit scale.
         placement: offset and scale taken out.
+        centroid: ``(3,)``, unit scale.
         cuts: the tiles, see :mod:`pugeo_model.tiles`.
         noise: of the whole cloud, ``None`` where the only tile finds out by itself.
         options: as asked for.
@@ -86,6 +87,7 @@ class Plan:
     cloud: Cloud
     points: NDArray[np.float64]
     placement: Placement
+    centroid: NDArray[np.float64]
     cuts: list[Cut]
     noise: float | None
     options: Options
@@ -97,6 +99,11 @@ class Plan:
     def keeps_input(self) -> bool:
         """Whether the answer begins with the input points: asked for, or no point is new."""
         return self.options.keep_input or self.n_out == len(self.points)
+
+    @property
+    def tiles(self) -> Iterator[Tile]:
+        """The tiles, each made when its turn comes."""
+        return map(self.tile, range(len(self.cuts)))
 
     def tile(self, number: int) -> Tile:
         """Return a tile with all that it needs on its way."""
@@ -115,7 +122,7 @@ class Plan:
             placement=self.placement,
             orient=self.orient,
             viewpoint=self.options.viewpoint,
-            centroid=self.points.mean(axis=0),
+            centroid=self.centroid,
             seed=self.options.seed,
         )
 
@@ -213,13 +220,24 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
         "points_used": count,
         "points_out": n_out,
         "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
-        "patches": sum(-(-len(cut.rows) // PATCH_SIZE) for cut in cuts),
+        "patches": sum(cut.patches for cut in cuts),
         "tiles": len(cuts),
         "ratio": n_out / count,
         "orient": method,
         "notes": list(cleaned.notes),
     }
-    return Plan(cleaned, points, placement, cuts, noise, options, method, n_out, report)
+    return Plan(
+        cloud=cleaned,
+        points=points,
+        placement=placement,
+        centroid=points.mean(axis=0),
+        cuts=cuts,
+        noise=noise,
+        options=options,
+        orient=method,
+        n_out=n_out,
+        report=report,
+    )
 
 
 def prepare(tile: Tile) -> Job:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.chunks import chunks
-from pugeo_model.geometry.frames import fit_frames, noise_level
+from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
+from pugeo_model.geometry.frames import noise_level, rough_residuals
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
 from pugeo_model.normalise import Placement
 
@@ -45,6 +45,11 @@ class Cut:
     rows: NDArray[np.int32]
     core: int
     n_out: int
+
+    @property
+    def patches(self) -> int:
+        """Patches that the tile will be cut into, its margin with it."""
+        return -(-len(self.rows) // PATCH_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +157,8 @@ def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
         here = points[cut.rows]
         some = np.arange(0, cut.core, max(1, cut.core // _SAMPLED))
         distances, rows = knn(cKDTree(here), here[some], NEIGHBOURS + 1)
-        # Frames are those of the leading rows, so the sampled points are put there once more.
+        # Residuals are those of the leading rows, so the sampled points are put there once more.
         near = (rows[:, 1:] + len(some)).astype(np.int32)
         stacked = np.concatenate([here[some], here])
-        frames = fit_frames(stacked, near, spacing(distances[:, 1:].astype(np.float32)))
-        found.append(frames.residual[: len(some)])
+        found.append(rough_residuals(stacked, near, spacing(distances[:, 1:].astype(np.float32))))
     return noise_level(np.concatenate(found))

@@ -13,6 +13,7 @@ from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
     Piece,
+    Plan,
     Result,
     assemble,
     finish,
@@ -23,7 +24,7 @@ from pugeo_model.pipeline import (
     propose,
     survey,
 )
-from pugeo_model.tiles import Tile
+from pugeo_model.tiles import Cut, Tile
 
 __all__ = ["Upsampler"]
 
@@ -56,7 +57,7 @@ class Upsampler:
 
         Args:
             cloud: a cloud, or points ``(M, 3)``.
-            progress: called with a stage's name, parts done and parts in all.
+            progress: called with a stage's name, and how many of the cloud's patches it has done.
 
         Raises:
             CloudError: the cloud or an option cannot be used.
@@ -64,35 +65,48 @@ class Upsampler:
         if not isinstance(cloud, Cloud):
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        tell = progress or (lambda _stage, _done, _total: None)
+        return self.upsample(survey(cloud, options), progress)
 
-        def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
-            done: list[Any] = []
-            for part in parts:
-                tell(stage, len(done), len(parts))
-                done.append(work(part))
-            return done
+    def upsample(
+        self, plan: Plan, progress: Callable[[str, int, int], None] | None = None
+    ) -> Result:
+        """Upsample a cloud that was surveyed; ``progress`` as in ``__call__``."""
+        total, before = plan.report["patches"], 0
+        pieces = []
+        for tile, cut in zip(plan.tiles, plan.cuts, strict=True):
 
-        def upsample(tile: Tile) -> Piece:
-            tell("prepare", 0, 1)
-            job = prepare(tile)
-            charts = spread(
-                "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
-            )
-            tell("propose", 0, 1)
-            candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
-            tell("merge", 0, 1)
-            parcels = merge(job, charts, candidates)
-            points = spread("land", parcels, lambda part: land(self.model, part))
-            tell("finish", 0, 1)
-            piece = finish(job, points)
+            def tell(
+                stage: str, share: float = 0.0, *, start: int = before, cut: Cut = cut
+            ) -> None:
+                if progress:
+                    progress(stage, start + int(share * cut.patches), total)
+
+            pieces.append(self._piece(tile, tell))
+            before += cut.patches
             if len(plan.cuts) > 1:
                 # What tiles leave free between the pieces that stay would add up.
                 give_back_freed_memory()
-            return piece
-
-        plan = survey(cloud, options)
-        tiles = (plan.tile(number) for number in range(len(plan.cuts)))
-        result = assemble(plan, [upsample(tile) for tile in tiles])
-        tell("finish", 1, 1)
+        result = assemble(plan, pieces)
+        if progress:
+            progress("finish", total, total)
         return result
+
+    def _piece(self, tile: Tile, tell: Callable[..., None]) -> Piece:
+        def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
+            done: list[Any] = []
+            for part in parts:
+                tell(stage, len(done) / len(parts))
+                done.append(work(part))
+            return done
+
+        tell("prepare")
+        job = prepare(tile)
+        charts = spread(
+            "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
+        )
+        tell("propose")
+        candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
+        tell("merge")
+        points = spread("land", merge(job, charts, candidates), lambda part: land(self.model, part))
+        tell("finish")
+        return finish(job, points)

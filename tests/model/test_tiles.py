@@ -11,16 +11,7 @@ from pugeo_model.finish.joining import signs_of_parts, take_sides
 from pugeo_model.geometry.neighbours import nearest
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.pipeline import (
-    assemble,
-    finish,
-    land,
-    merge,
-    predict,
-    prepare,
-    propose,
-    survey,
-)
+from pugeo_model.pipeline import survey
 from pugeo_model.tiles import cut_tiles
 from pugeo_model.training.corpus import poisson_disk
 from pugeo_model.upsampler import Upsampler
@@ -29,10 +20,10 @@ SIZE = 1200
 
 
 @pytest.fixture(scope="module")
-def model():
+def upsampler():
     """The released model."""
     torch.set_num_threads(1)
-    return Upsampler().model
+    return Upsampler()
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +40,9 @@ def ball():
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-def dense(model, cloud, options, size=None):
+def dense(upsampler, cloud, options, size=None):
     """The whole way, in tiles of at most ``size``."""
-    plan = survey(cloud, options, size)
-    pieces = []
-    for number in range(len(plan.cuts)):
-        job = prepare(plan.tile(number))
-        charts = [predict(model, patch, job.candidates) for patch in job.patches]
-        landed = [land(model, part) for part in propose(job, charts)]
-        pieces.append(finish(job, [land(model, part) for part in merge(job, charts, landed)]))
-    return assemble(plan, pieces)
+    return upsampler.upsample(survey(cloud, options, size))
 
 
 def test_cores_partition_the_cloud(ball):
@@ -84,10 +68,10 @@ def test_small_clouds_stay_whole(ball):
     assert noise is None
 
 
-def test_no_seam_shows(model, ball):
+def test_no_seam_shows(upsampler, ball):
     """As even as in one piece, nowhere two points on top of each other, all normals outward."""
-    whole = dense(model, Cloud(ball), Options(4.0)).cloud
-    tiled = dense(model, Cloud(ball), Options(4.0), SIZE).cloud
+    whole = dense(upsampler, Cloud(ball), Options(4.0)).cloud
+    tiled = dense(upsampler, Cloud(ball), Options(4.0), SIZE).cloud
     assert len(tiled) == 16_000
     assert evenness(tiled.points) < 1.03 * evenness(whole.points)
     apart = [np.min(cKDTree(c.points).query(c.points, k=[2])[0]) for c in (whole, tiled)]
@@ -98,11 +82,11 @@ def test_no_seam_shows(model, ball):
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.01, 2.5])
-def test_the_input_is_kept(model, ball, ratio):
+def test_the_input_is_kept(upsampler, ball, ratio):
     """Bit for bit and in its order, whatever tile a point was in; the rest lies between."""
     height = ball[:, 2].astype(np.float32)
     cloud = Cloud(ball, scalars={"height": height})
-    result = dense(model, cloud, Options(ratio, keep_input=True), SIZE)
+    result = dense(upsampler, cloud, Options(ratio, keep_input=True), SIZE)
     assert len(result.cloud) == int(np.floor(ratio * 4000 + 0.5))
     assert result.cloud.points[:4000].tobytes() == ball.tobytes()
     np.testing.assert_array_equal(result.cloud.scalars["height"][:4000], height)
@@ -112,17 +96,29 @@ def test_the_input_is_kept(model, ball, ratio):
 
 
 @pytest.mark.parametrize("orient", ["viewpoint", "outward", "input", "none"])
-def test_signs_that_need_no_neighbours(model, ball, orient):
+def test_signs_that_need_no_neighbours(upsampler, ball, orient):
     """Each method means the same in tiles, far from the origin too."""
     offset = np.array([5e5, 1e6, 30.0])
     cloud = Cloud(ball + offset, normals=(-ball).astype(np.float32))
     options = Options(2.0, orient=orient, viewpoint=tuple(offset))
-    result = dense(model, cloud, options, SIZE)
+    result = dense(upsampler, cloud, options, SIZE)
     outside = np.einsum("ij,ij->i", result.cloud.normals, result.cloud.points - offset) > 0
     expected = {"viewpoint": 0.0, "outward": 1.0, "input": 0.0}
     if orient in expected:
         assert outside.mean() == expected[orient]
     assert result.report["orient"] == orient
+
+
+def test_progress_counts_all_tiles(upsampler, ball):
+    """A stage starts where it ended in the tile before, and all end at the total."""
+    told = []
+    plan = survey(Cloud(ball), Options(2.0), SIZE)
+    upsampler.upsample(plan, lambda *now: told.append(now))
+    done = [now for stage, now, _ in told if stage == "network"]
+    assert done == sorted(done)
+    assert len(set(done)) >= len(plan.cuts)
+    assert {total for _, _, total in told} == {plan.report["patches"]}
+    assert told[-1][1] == plan.report["patches"]
 
 
 def test_signs_across_tiles():

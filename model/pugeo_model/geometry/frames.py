@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["QUADRIC", "Frames", "fit_frames", "flip_frames", "noise_level"]
+__all__ = ["QUADRIC", "Frames", "fit_frames", "flip_frames", "noise_level", "rough_residuals"]
 
 QUADRIC = 6
 """Coefficients ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
@@ -60,11 +60,7 @@ def fit_frames(
         spacing: ``(M,)`` float32.
         noise: the cloud's, where it is known already; measured otherwise.
     """
-    count = len(points)
-    axes = np.zeros((count, 3, 3))
-    quadric = np.zeros((count, QUADRIC))
-    residual = np.zeros(count)
-    _rough(points, neighbours, spacing, axes, quadric, residual)
+    axes, quadric, residual = _rough_frames(points, neighbours, spacing)
     if noise is None:
         noise = noise_level(residual)
     support = min(_SUPPORT + _NOISE_GAIN * max(noise - _CLEAN, 0.0), _WIDEST)
@@ -76,6 +72,28 @@ def fit_frames(
         residual.astype(np.float32),
         noise,
     )
+
+
+def rough_residuals(
+    points: NDArray[np.float64], neighbours: NDArray[np.int32], spacing: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Residuals ``(m,)``, in spacings, of the ``m`` leading points: what `noise_level` goes by.
+
+    Args:
+        points: ``(M, 3)`` float64.
+        neighbours: ``(m, k)`` int32 rows of ``points``.
+        spacing: ``(m,)`` float32.
+    """
+    return _rough_frames(points, neighbours, spacing)[2]
+
+
+def _rough_frames(
+    points: NDArray[np.float64], neighbours: NDArray[np.int32], spacing: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    count = len(neighbours)
+    axes, quadric, residual = (np.zeros((count, *s)) for s in ((3, 3), (QUADRIC,), ()))
+    _rough(points, neighbours, spacing, axes, quadric, residual)
+    return axes, quadric, residual
 
 
 def noise_level(residual: NDArray[Any]) -> float:
