@@ -41,9 +41,10 @@ class NewFile(Sink):
         self._target = target
         self._file: BinaryIO | None = None
         self._sha256 = hashlib.sha256()
-        # Whoever is cancelled leaves a thread behind that still stores: it must not open the file
-        # of somebody who has closed it.
-        self._lock = threading.RLock()
+        # Whoever is cancelled leaves a thread behind that still stores. It must not open a file
+        # that nobody will close, and nobody may wait for it in the event loop: so the one of the
+        # two that comes last tidies up.
+        self._busy = threading.Lock()
         self._closed = False
 
     @property
@@ -63,36 +64,51 @@ class NewFile(Sink):
     def close(self) -> None:
         """Remove what was written and not committed."""
         super().close()
-        with self._lock:
-            self._closed = True
+        self._closed = True
+        self._tidy()
+
+    def _store(self, data: bytearray) -> None:
+        with self._at_work() as file:
+            if file is not None:
+                self._sha256.update(data)
+                file.write(data)
+
+    def _publish(self) -> None:
+        with self._at_work() as file:
+            if file is not None:
+                file.flush()
+                os.fsync(file.fileno())
+                file.close()
+                self._file = None
+                self._part.replace(self._target)
+                _sync_folder(self._target.parent)
+
+    @contextlib.contextmanager
+    def _at_work(self) -> Iterator[BinaryIO | None]:
+        """The open file, to a thread that works on it; ``None`` where it is not wanted any more."""
+        try:
+            with self._busy:
+                if self._file is None and not self._closed:
+                    descriptor = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+                    self._file = os.fdopen(descriptor, "wb")
+                yield None if self._closed else self._file
+        finally:
+            if self._closed:
+                self._tidy()
+
+    def _tidy(self) -> None:
+        """Remove what is left, unless a thread is at work, which then does it."""
+        if not self._busy.acquire(blocking=False):
+            return
+        try:
             if self._file is not None:
                 # A full disk may refuse what the buffer still holds; it is not wanted any more.
                 with contextlib.suppress(OSError):
                     self._file.close()
                 self._file = None
             self._part.unlink(missing_ok=True)
-
-    def _store(self, data: bytearray) -> None:
-        with self._lock:
-            if self._closed:
-                return
-            if self._file is None:
-                descriptor = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-                self._file = os.fdopen(descriptor, "wb")
-            self._sha256.update(data)
-            self._file.write(data)
-
-    def _publish(self) -> None:
-        with self._lock:
-            self._store(bytearray())
-            if self._file is None:
-                return
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-            self._file = None
-            self._part.replace(self._target)
-            _sync_folder(self._target.parent)
+        finally:
+            self._busy.release()
 
 
 class StoredInput:
