@@ -72,13 +72,15 @@ class Flow:
 
         size = order.estimate(body.size, order.format)
         head: Head
-        self._watcher.on_stage("prepare")
         # Of jobs, few enough run at one time already.
         if size >= LARGE_PATCHES and not order.background:
             await inside.enter_async_context(self._lanes.entrance)
+        self._watcher.on_stage("prepare")
         with disk():
             data = await body.read()
         prepared, head = await self._step(size, "prepare", "describe_prepared", data, order)
+        # The pool has its own copy, for as long as it may have to begin anew.
+        del data
         seconds["queue"] = time.perf_counter() - began - sum(head.seconds.values())
         seconds.update(head.seconds)
         size = head.patches
@@ -201,9 +203,10 @@ class Flow:
         if size >= LARGE_PATCHES:
             async with self._lanes.turns:
                 return await self._ask(Lanes.FIRST, stage, describe, *args, long=True)
-        patience = _BACKGROUND_PATIENCE_S if self._order.background else None
+        if not self._order.background:
+            return await self._ask(self._priority(size), stage, describe, *args)
         try:
-            async with asyncio.timeout(patience):
+            async with asyncio.timeout(_BACKGROUND_PATIENCE_S):
                 return await self._ask(self._priority(size), stage, describe, *args)
         except TimeoutError:
             # It takes no second once it runs, so it did not.

@@ -8,7 +8,7 @@ import functools
 import io
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -235,7 +235,9 @@ def land(landings: Sequence[Any], model: str) -> list[Any]:
 def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:
     """Finish the dense cloud and write it in the format ``answer``."""
     part = finish_tile(prepared, batches)
-    return assemble(prepared, [part], answer)
+    written = assemble(prepared, [part], answer)
+    finishing = written.seconds["finish"] + part.seconds
+    return replace(written, seconds={**written.seconds, "finish": finishing})
 
 
 def finish_tile(prepared: Prepared, batches: Sequence[list[Any]]) -> Finished:
@@ -257,10 +259,7 @@ def assemble(prepared: Prepared, parts: Sequence[Finished], answer: str) -> Writ
     finished = time.perf_counter()
     buffer = io.BytesIO()
     formats.write(result.cloud, buffer, format=answer)
-    seconds = {
-        "finish": finished - start + (parts[0].seconds if len(parts) == 1 else 0.0),
-        "write": time.perf_counter() - finished,
-    }
+    seconds = {"finish": finished - start, "write": time.perf_counter() - finished}
     data = np.frombuffer(buffer.getbuffer(), np.uint8)
     return Written(data, result.report, seconds)
 

@@ -272,6 +272,16 @@ def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> No
     assert begun.index("next") < begun.index("text ended")
 
 
+def test_large_requests_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind endless small ones all batches get done in turns, those queued without one too."""
+    monkeypatch.setattr(module, "_PATIENCE_S", 0.05)
+    pool = Recorder(20, seconds=lambda handle: 30.0 if handle.priority < 0 else 0.0)
+    _, data = run(pool, tmp_path)
+    assert data == b"012"
+    cuts = [handle.args[1:] for handle in pool.of("cut_patches") if handle.priority > 0]
+    assert sorted(cuts) == [(start, start + 2) for start in range(0, 20, 2)]
+
+
 def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A job behind endless requests gets its stages and batches done, one in each while."""
     monkeypatch.setattr(module, "_BACKGROUND_PATIENCE_S", 0.05)
