@@ -3,13 +3,15 @@
 
 import os
 import platform
+import resource
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
 from pugeo_model.weights import read_card
 
-__all__ = ["describe"]
+__all__ = ["describe", "peak_bytes"]
 
 _ROOT = Path(__file__).parent.parent
 _LIBRARIES = ("torch", "numpy", "scipy", "numba")
@@ -33,6 +35,12 @@ def describe(core: int | None) -> list[tuple[str, str]]:
         ("pugeo", f"{version('pugeo')}, commit {_commit()}"),
         ("weights", f"{card['name']} {card['version']}, sha256 {card['sha256'][:12]}"),
     ]
+
+
+def peak_bytes() -> int:
+    """The most memory that this process ever held."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _processor() -> str:

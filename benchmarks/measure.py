@@ -2,7 +2,6 @@
 """One case in a process of its own: ``python -m benchmarks.measure CASE`` prints its figures."""
 
 import io
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks import rival, surface, yardstick
 from benchmarks.case import Accuracy, Case, Figures
+from benchmarks.machine import peak_bytes
 from pugeo_model import Cloud
 from pugeo_model.formats import read, write
 from pugeo_model.geometry.neighbours import nearest, spacing
@@ -65,11 +65,11 @@ def main(case: Case) -> Figures:
     body = sent.getvalue()
     upsampler = Upsampler()
     _ours(upsampler, _small(), case.ratio)  # compiles kernels, fills caches
-    base = _peak_bytes()
+    base = peak_bytes()
 
     speed = [yardstick.gflops()]
     ours = _timed(lambda: _ours(upsampler, body, case.ratio), case.repeats)
-    peak = _peak_bytes()
+    peak = peak_bytes()
     speed.append(yardstick.gflops())
     theirs = _timed(lambda: _theirs(body, case.ratio), case.repeats)
     speed.append(yardstick.gflops())
@@ -136,11 +136,6 @@ def _accuracy(answer: bytes, typical: float) -> Accuracy:
         angle=float(np.degrees(np.arccos(cosine)).mean()),
         evenness=evenness(points),
     )
-
-
-def _peak_bytes() -> int:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 if __name__ == "__main__":

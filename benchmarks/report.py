@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from benchmarks.case import Figures
 
-__all__ = ["report"]
+__all__ = ["report", "table"]
 
 _BUSY = 1.05  # wall clock over processor time from which on somebody else used the core
 
@@ -19,7 +19,7 @@ def report(machine: Sequence[tuple[str, str]], figures: Sequence[Figures]) -> st
     """
     return "\n".join(
         [
-            *_table(("", ""), machine),
+            *table(("", ""), machine),
             "",
             *_speed(figures),
             "",
@@ -33,7 +33,7 @@ def report(machine: Sequence[tuple[str, str]], figures: Sequence[Figures]) -> st
     )
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Markdown lines; all columns but the first are right-aligned where there are several."""
     align = ["---", *(["---:"] * (len(header) - 1) if len(header) > 2 else ["---"])]
     return [f"| {' | '.join(cells)} |" for cells in (header, align, *rows)]
@@ -63,7 +63,7 @@ def _speed(figures: Sequence[Figures]) -> list[str]:
         "peak memory",
         "of which for this cloud",
     )
-    return _table(header, rows)
+    return table(header, rows)
 
 
 def _linearity(figures: Sequence[Figures]) -> str:
@@ -85,7 +85,7 @@ def _stages(figures: Sequence[Figures]) -> list[str]:
         )
         for each in figures
     ]
-    return _table(("share of the processor time", *names), rows)
+    return table(("share of the processor time", *names), rows)
 
 
 def _beside(figures: Sequence[Figures]) -> list[str]:
@@ -115,7 +115,7 @@ def _beside(figures: Sequence[Figures]) -> list[str]:
         "normals ours / rival's (degrees)",
         "evenness ours / rival's",
     )
-    return _table(header, rows)
+    return table(header, rows)
 
 
 def _warnings(figures: Sequence[Figures]) -> list[str]:

@@ -8,7 +8,6 @@ processor time over that of points: 1 is linear.
 import argparse
 import io
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -17,8 +16,9 @@ import numpy as np
 import torch
 
 from benchmarks import surface
-from benchmarks.machine import describe
+from benchmarks.machine import describe, peak_bytes
 from benchmarks.one_core import environment, pin
+from benchmarks.report import table
 from pugeo_model import Cloud
 from pugeo_model.formats import read, write
 from pugeo_model.upsampler import Upsampler
@@ -40,34 +40,31 @@ def main() -> None:
     if options.one:
         print(json.dumps(_measure(options.one, options.ratio, options.model)))
         return
-    machine = describe(pin(options.core))
-    print("|  |  |\n| --- | --- |")
-    print("\n".join(f"| {label} | {value} |" for label, value in machine))
-    print("\n| points in | points out | processor time | a second of it | peak memory |")
-    print("| ---: | ---: | ---: | ---: | ---: |")
-    found = []
+    print("\n".join(table(("", ""), describe(pin(options.core)))), end="\n\n")
+    found, rows = [], []
     for count in options.points:
-        line = _in_a_process(count, options.ratio, options.model)
-        found.append((count, line["seconds"]))
-        print(
-            f"| {count:,} | {line['points_out']:,} | {line['seconds']:,.1f} s "
-            f"| {line['points_out'] / line['seconds']:,.0f} | {line['peak'] / 2**20:,.0f} MiB |",
-            flush=True,
-        )
+        print(f"measuring {count:,} points ...", file=sys.stderr, flush=True)
+        out, seconds, peak = _in_a_process(count, options.ratio, options.model)
+        found.append((count, seconds))
+        size = f"{peak / 2**20:,.0f} MiB"
+        rows.append((f"{count:,}", f"{out:,}", f"{seconds:,.1f} s", f"{out / seconds:,.0f}", size))
+    header = ("points in", "points out", "processor time", "points out a second", "peak memory")
+    print("\n".join(table(header, rows)))
     if len(found) > 1:
         sizes, seconds = np.log(np.array(found)).T
         print(f"\nSlope: {np.polyfit(sizes, seconds, 1)[0]:.3f}")
 
 
-def _in_a_process(count: int, ratio: float, model: str) -> dict[str, float]:
+def _in_a_process(count: int, ratio: float, model: str) -> tuple[int, float, int]:
     command = [sys.executable, "-m", "benchmarks.scale", "--one", str(count)]
     command += ["--ratio", str(ratio), "--model", model]
     done = subprocess.run(command, env=environment(), check=True, stdout=subprocess.PIPE, text=True)
-    figures: dict[str, float] = json.loads(done.stdout)
-    return figures
+    out, seconds, peak = json.loads(done.stdout)
+    return out, seconds, peak
 
 
-def _measure(count: int, ratio: float, model: str) -> dict[str, float]:
+def _measure(count: int, ratio: float, model: str) -> tuple[int, float, int]:
+    """Points of the answer, seconds of the processor, and bytes held at most."""
     torch.set_num_threads(1)
     upsampler = Upsampler(model)
     upsampler(surface.spiral(3000), ratio)  # compiles kernels, fills caches
@@ -79,8 +76,7 @@ def _measure(count: int, ratio: float, model: str) -> dict[str, float]:
     answer = io.BytesIO()
     write(result.cloud, answer)
     seconds = time.process_time() - begun
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {"points_out": len(result.cloud), "seconds": seconds, "peak": peak}
+    return len(result.cloud), seconds, peak_bytes()
 
 
 if __name__ == "__main__":

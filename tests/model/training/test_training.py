@@ -137,6 +137,11 @@ def test_recipes_of_released_weights(name):
         assert json.dumps(trained) == json.dumps(recipe.to_json())
 
 
+def test_the_default_recipe_is_that_of_the_default_weights():
+    """What a file leaves out is as in the code: so both say the same."""
+    assert read_recipe("standard") == Recipe()
+
+
 def test_a_recipe_of_ones_own(tmp_path):
     """What it leaves out is as in the code; what it should not hold is told by name."""
     path = tmp_path / "mine.toml"
