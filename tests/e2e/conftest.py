@@ -117,7 +117,7 @@ def launch(tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """The service that most tests share; its limit of a body is 32 MiB."""
     log = tmp_path_factory.mktemp("service") / "server.log"
-    with launched(log, "--max-body-bytes", str(32 << 20), "--max-points", "400000") as running:
+    with launched(log, "--max-body-bytes", str(32 << 20), "--max-points", "300000") as running:
         running.wait_until_ready()
         yield running
         assert running.stop() == 0, log.read_text()[-4000:]
