@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pugeo_model.geometry.frames import QUADRIC
+from pugeo_model.geometry.quadric import QUADRIC
 from pugeo_model.network.pattern import disk
 from pugeo_model.network.precision import wide_products
 

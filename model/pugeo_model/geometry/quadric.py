@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A quadric (jet) fitted to the heights of weighted neighbours, by ridge regression."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["QUADRIC", "fit_quadric"]
+
+QUADRIC = 6
+"""Coefficients ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
+
+
+@njit(cache=True, nogil=True)
+def fit_quadric(
+    local: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    axes: NDArray[np.float64],
+    gram: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+) -> float:
+    """Ridge fit of the heights of weighted neighbours in a frame.
+
+    Args:
+        local: ``(3, k)`` neighbours as seen from the point, which counts with weight 1.
+        weights: ``(k,)``.
+        axes: ``(3, 3)`` rows ``t1, t2, n`` of the frame.
+        gram: ``(6, 6)``, overwritten.
+        coefficients: ``(6,)``, gets the quadric.
+
+    Returns:
+        The weighted RMS residual.
+    """
+    total, squares = _gram(local, weights, axes, gram, coefficients)
+    e0, e1, e2 = coefficients[0], coefficients[1], coefficients[2]
+    e3, e4, e5 = coefficients[3], coefficients[4], coefficients[5]
+    for a in range(QUADRIC):
+        gram[a, a] += 0.02 * total / 8.0
+    _solve(gram, coefficients)
+    squares -= e0 * coefficients[0] + e1 * coefficients[1] + e2 * coefficients[2]
+    squares -= e3 * coefficients[3] + e4 * coefficients[4] + e5 * coefficients[5]
+    return np.sqrt(max(squares, 0.0) / total)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _gram(local, weights, axes, gram, right):  # type: ignore[no-untyped-def]
+    """The normal equations of the fit; returns the sum of weights and of squared heights.
+
+    Every sum is a name of its own, so that all stay in registers.
+    """
+    a0, a1, a2 = axes[0, 0], axes[0, 1], axes[0, 2]
+    b0, b1, b2 = axes[1, 0], axes[1, 1], axes[1, 2]
+    c0, c1, c2 = axes[2, 0], axes[2, 1], axes[2, 2]
+    total = su = sv = suu = suv = svv = 0.0
+    suuu = suuv = suvv = svvv = suuuu = suuuv = suuvv = suvvv = svvvv = 0.0
+    sh = shu = shv = shuu = shuv = shvv = shh = 0.0
+    for j in range(len(weights)):
+        x, y, z, w = local[0, j], local[1, j], local[2, j], weights[j]
+        u = a0 * x + a1 * y + a2 * z
+        v = b0 * x + b1 * y + b2 * z
+        h = c0 * x + c1 * y + c2 * z
+        wu, wv, wh = w * u, w * v, w * h
+        uu, uv, vv = wu * u, wu * v, wv * v
+        total += w
+        su += wu
+        sv += wv
+        suu += uu
+        suv += uv
+        svv += vv
+        suuu += uu * u
+        suuv += uu * v
+        suvv += vv * u
+        svvv += vv * v
+        suuuu += uu * u * u
+        suuuv += uu * u * v
+        suuvv += uu * v * v
+        suvvv += vv * v * u
+        svvvv += vv * v * v
+        sh += wh
+        shu += wh * u
+        shv += wh * v
+        shuu += uu * h
+        shuv += uv * h
+        shvv += vv * h
+        shh += wh * h
+    total += 1.0
+    gram[0, 0] = total
+    gram[1, 0], gram[1, 1] = su, suu
+    gram[2, 0], gram[2, 1], gram[2, 2] = sv, suv, svv
+    gram[3, 0], gram[3, 1], gram[3, 2] = 0.5 * suu, 0.5 * suuu, 0.5 * suuv
+    gram[3, 3] = 0.25 * suuuu
+    gram[4, 0], gram[4, 1], gram[4, 2] = suv, suuv, suvv
+    gram[4, 3], gram[4, 4] = 0.5 * suuuv, suuvv
+    gram[5, 0], gram[5, 1], gram[5, 2] = 0.5 * svv, 0.5 * suvv, 0.5 * svvv
+    gram[5, 3], gram[5, 4], gram[5, 5] = 0.25 * suuvv, 0.5 * suvvv, 0.25 * svvvv
+    right[0], right[1], right[2] = sh, shu, shv
+    right[3], right[4], right[5] = 0.5 * shuu, shuv, 0.5 * shvv
+    return total, shh
+
+
+@njit(cache=True, nogil=True)
+def _solve(matrix, right):  # type: ignore[no-untyped-def]
+    """Cholesky solution of a symmetric positive definite system, in place in ``right``."""
+    for i in range(QUADRIC):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for m in range(j):
+                total -= matrix[i, m] * matrix[j, m]
+            # The diagonal keeps inverses: a division is worth ten products.
+            if i == j:
+                matrix[i, i] = 1.0 / np.sqrt(max(total, 1e-12))
+            else:
+                matrix[i, j] = total * matrix[j, j]
+    for i in range(QUADRIC):
+        total = right[i]
+        for m in range(i):
+            total -= matrix[i, m] * right[m]
+        right[i] = total * matrix[i, i]
+    for i in range(QUADRIC - 1, -1, -1):
+        total = right[i]
+        for m in range(i + 1, QUADRIC):
+            total -= matrix[m, i] * right[m]
+        right[i] = total * matrix[i, i]
