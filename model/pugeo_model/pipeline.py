@@ -34,7 +34,16 @@ from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
-from pugeo_model.merge.atlas import Atlas, Landed, Landing, PatchCharts, bind, parcels
+from pugeo_model.merge.atlas import (
+    BLENDED,
+    SCREENED,
+    Atlas,
+    Landed,
+    Landing,
+    PatchCharts,
+    bind,
+    parcels,
+)
 from pugeo_model.merge.placement import place, shares
 from pugeo_model.normalise import Placement, normalise
 from pugeo_model.options import MOST, Options, refuse
@@ -278,6 +287,7 @@ def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
         atlas,
         np.concatenate([job.points, spots]),
         np.concatenate([rows, np.repeat(rows, job.candidates)]),
+        SCREENED,
     )
 
 
@@ -323,11 +333,14 @@ def _parcels(
     atlas: Atlas,
     spots: NDArray[np.float64],
     owner: NDArray[np.int32],
+    blended: int = BLENDED,
     *,
     fixed: bool = False,
 ) -> list[Landing]:
     ends = np.cumsum([patch.core for patch in job.patches])[:-1]
-    return parcels(atlas, spots, owner, job.points, job.neighbours, job.frames, ends, fixed=fixed)
+    return parcels(
+        atlas, spots, owner, job.points, job.neighbours, job.frames, ends, blended, fixed=fixed
+    )
 
 
 def finish(job: Job, points: Sequence[Landed]) -> Piece:

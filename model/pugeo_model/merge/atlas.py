@@ -16,10 +16,13 @@ from pugeo_model.geometry.frames import Frames
 from pugeo_model.merge.crowd import by_chart
 from pugeo_model.merge.placement import nearest_charts
 
-__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels"]
+__all__ = ["BLENDED", "SCREENED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels"]
 
 BLENDED = 3
-"""Charts that every spot lands on."""
+"""Charts that every point lands on."""
+
+SCREENED = 2
+"""Charts that a candidate lands on: a third would move what survives, and that lands again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +31,8 @@ class PatchCharts:
 
     Attributes:
         rows: ``(n,)`` int32 rows in the cloud.
-        candidates: ``(n, c, 3)`` float32 offsets from the points, cloud frame, unit scale.
+        candidates: ``(n, c, 3)`` float32 offsets from the points, cloud frame, unit scale, on the
+            tangent planes.
         T: ``(n, 3, 3)`` float32, in canonical frames.
         code: ``(n, width)`` float16, what the surface head needs of the feature.
         lift: ``(n,)`` float32, in spacings.
@@ -126,6 +130,7 @@ def parcels(
     neighbours: NDArray[np.int32],
     frames: Frames,
     ends: NDArray[np.int64],
+    blended: int = BLENDED,
     *,
     fixed: bool = False,
 ) -> list[Landing]:
@@ -139,9 +144,10 @@ def parcels(
         neighbours: ``(M, k)`` int32.
         frames: of the ``M`` points.
         ends: ``(patches - 1,)`` first rows of all patches but the first.
+        blended: charts a spot lands on.
         fixed: the spots stay where they are.
     """
-    near = nearest_charts(spots, owner, points, neighbours, BLENDED)
+    near = nearest_charts(spots, owner, points, neighbours, blended)
     patch = np.searchsorted(ends, np.arange(len(points)), side="right").astype(np.int32)
     start, order = by_chart(patch[owner], len(ends) + 1)
     found = []

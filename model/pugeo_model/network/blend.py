@@ -12,10 +12,7 @@ from torch.nn import functional
 from pugeo_model.network.heads import Surface
 from pugeo_model.network.pugeo import Charts, evaluate
 
-__all__ = ["CHARTS", "FALLOFF", "TRUST", "blend", "parametrise"]
-
-CHARTS = 3
-"""Charts blended for every output point."""
+__all__ = ["FALLOFF", "TRUST", "blend", "parametrise"]
 
 FALLOFF = 2.0
 """Of the blending weight with the squared distance in spacings."""

@@ -44,31 +44,15 @@ class Model:
         frames = patch.frames
         quadric = frames.quadric[:core]
         charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
-        # On their own charts alone; the pipeline lands them on the neighbours' as well.
+        # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
         flat = uv @ charts.T[..., :2].mT @ torch.from_numpy(frames.axes[:core])
-        points = patch.points[:core]
-        spread = flat.numpy() * frames.spacing[:core, None, None]
-        rows = np.repeat(np.arange(core, dtype=np.int32), count)
-        landing = Landing(
-            spots=(points[:, None] + spread).reshape(-1, 3),
-            charts=rows[:, None],
-            points=points,
-            axes=frames.axes[:core],
-            spacing=frames.spacing[:core],
-            quadric=quadric,
+        candidates = flat.numpy() * frames.spacing[:core, None, None]
+        return PatchCharts(
+            rows=patch.rows[:core],
+            candidates=candidates.astype(np.float32, copy=False),
             T=charts.T.numpy(),
             code=charts.code.to(torch.float16).numpy(),
             lift=charts.lift.numpy(),
-            nearest=rows,
-            fixed=False,
-        )
-        step, _, _ = self._lander(landing)
-        return PatchCharts(
-            rows=patch.rows[:core],
-            candidates=(spread + step.reshape(spread.shape)).astype(np.float32),
-            T=landing.T,
-            code=landing.code,
-            lift=landing.lift,
         )
 
     def land(self, landing: Landing) -> Landed:

@@ -19,8 +19,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pugeo_model.merge.atlas import BLENDED
 from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.network.blend import CHARTS, blend
+from pugeo_model.network.blend import blend
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 from pugeo_model.training.batches import Sample
@@ -163,8 +164,8 @@ class JointLoss:
         spots = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
         candidates = torch.cat([whole[:, None], torch.from_numpy(near)[whole, :8]], dim=1)
         apart = (spots[:, :, None] - points[candidates][:, None]).square().sum(-1)
-        ranks = apart.topk(CHARTS, dim=-1, largest=False).indices
-        chosen = candidates.unsqueeze(1).expand(-1, 4, -1).gather(2, ranks).reshape(-1, CHARTS)
+        ranks = apart.topk(BLENDED, dim=-1, largest=False).indices
+        chosen = candidates.unsqueeze(1).expand(-1, 4, -1).gather(2, ranks).reshape(-1, BLENDED)
         spots = spots.reshape(-1, 3)
         flat = chosen.flatten()
         picked = Charts(charts.T[flat], charts.code[flat], charts.lift[flat], charts.quadric[flat])
@@ -185,7 +186,7 @@ class JointLoss:
         alone = spots[:, None] + steps - foot[:, None]
         alone = (alone * true_normal[:, None]).sum(-1).abs() / scale[:, None]
         distance = offsets.square().sum(-1) / spacing[chosen].square()
-        nearby = torch.exp(-distance / 0.64) / CHARTS
+        nearby = torch.exp(-distance / 0.64) / BLENDED
         expected = (log_errors - torch.log(alone.detach() + 0.005)).abs().mean(dim=1)
         return {
             "blended_p2f": (share * (miss + cloud.shape[1] * _outlying(miss))).sum(),
