@@ -20,6 +20,7 @@ from pugeo_model.network.precision import bfloat16_pays
 __all__ = ["Lander", "settle"]
 
 _BLOCK = 512  # spots a pass: few calls, and what a pass writes still fits the caches
+_GRAIN = 256  # rows of a product are a multiple of this, see `gather`; divides _BLOCK
 _SHEET = 18  # numbers kept of a chart: basis (9), spacing, its inverse, quadric (6), lift
 _TERMS = 8  # inputs of the first layer: u, v, their products, height, slopes
 _OFFSET = 4  # numbers kept of a spot on a chart: x, y, z, squared distance in spacings
@@ -61,7 +62,7 @@ class Lander:
         sheets = _sheets(landing.axes, landing.spacing, landing.quadric, landing.T, landing.lift)
         block = _BLOCK * charts
         # Bits of bfloat16, which numpy and numba do not know.
-        first = np.empty((block, codes.shape[1]), dtype=np.int16)
+        first = np.zeros((block, codes.shape[1]), dtype=np.int16)
         ready = torch.from_numpy(first).view(torch.bfloat16)
         terms = np.zeros((block, _TERMS), dtype=np.float32)
         offsets = np.empty((block, _OFFSET), dtype=np.float32)
@@ -70,7 +71,8 @@ class Lander:
             rows = landing.charts[part].ravel()
             _place(landing.spots[part], rows, landing.points, sheets, terms, offsets)
             _enter(rows, codes, terms, self.terms, first)
-            seen = ready[: len(rows)].to(self.kind)
+            # Rows that are left over from the last pass cost less than a product compiled anew.
+            seen = ready[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
             hidden = functional.linear(seen, self.hidden, self.hidden_bias).to(torch.bfloat16)
             _leave(
                 hidden.view(torch.int16).numpy(),

@@ -3,6 +3,10 @@
 
 Neighbours lie along the first dimension: pooling over them is then one contiguous pass a
 neighbour, several times faster than a reduction in the middle.
+
+Points are filled up to multiples of ``_GRAIN`` with points of zeros, whose features nobody asks
+for. Torch compiles a product anew for every number of rows that it has not met, and no two patches
+are alike: that took a quarter of the network's time, and 0.5 GB for what it keeps of each.
 """
 
 from collections.abc import Sequence
@@ -13,10 +17,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from pugeo_model.geometry.patches import MESSAGES, Patch, edges, poses, scalars
 
 __all__ = ["Neighbourhoods", "gather"]
+
+_GRAIN = 128  # of 64, 128, 256 rows: 3, 4 and 9 % more work, and fewer products to compile
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +31,7 @@ class Round:
     """One round of message passing: ``rows`` receive from ``sources``.
 
     Attributes:
-        rows: ``(n,)`` int64 rows, of the round before, that receive.
+        rows: ``(n,)`` int64 rows, of the round before, that receive; what fills up is row 0.
         sources: ``(k, n)`` int64 rows, of the round before, that send.
         pose: ``(k, n, 16)`` float32, the sender's frame in the receiver's.
     """
@@ -50,7 +57,7 @@ class Neighbourhoods:
 
 
 def gather(patches: Sequence[Patch]) -> Neighbourhoods:
-    """Tensors of the patches, put one after the other as one graph without padding."""
+    """Tensors of the patches, put one after the other as one graph, and filled up."""
     rounds = []
     before = [patch.rings[0] for patch in patches]
     for turn, reach in enumerate(MESSAGES):
@@ -64,15 +71,15 @@ def gather(patches: Sequence[Patch]) -> Neighbourhoods:
         pose = [poses(p, n, reach) for p, n in zip(patches, now, strict=True)]
         rounds.append(
             Round(
-                _joined(rows),
-                _joined(sources, axis=1),
-                _joined(pose, axis=1),
+                _filled(_joined(rows), 0),
+                _filled(_joined(sources, axis=1), 1),
+                _filled(_joined(pose, axis=1), 1),
             )
         )
         before = now
     return Neighbourhoods(
-        _joined([edges(p) for p in patches], axis=1),
-        _joined([scalars(p.frames) for p in patches]),
+        _filled(_joined([edges(p) for p in patches], axis=1), 1),
+        _filled(_joined([scalars(p.frames) for p in patches]), 0),
         tuple(rounds),
     )
 
@@ -81,3 +88,10 @@ def _joined(parts: Sequence[NDArray[Any]], axis: int = 0) -> Tensor:
     """Arrays one after the other; what is alone, as in serving, is not copied."""
     joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
     return torch.from_numpy(joined)
+
+
+def _filled(tensor: Tensor, axis: int) -> Tensor:
+    """Zeros behind the rows along ``axis``, up to a multiple of the grain."""
+    missing = -tensor.shape[axis] % _GRAIN
+    behind = [0, 0] * (tensor.dim() - 1 - axis) + [0, missing]
+    return functional.pad(tensor, behind) if missing else tensor

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pugeo_model.network.backbones import BACKBONES
 from pugeo_model.network.heads import Frame, Samples, Surface
@@ -92,9 +93,12 @@ class PUGeoNet(nn.Module):
         """
         with wide_products():
             features = self.backbone(hoods)
-        code, lift = self.surface.encode(features, quadric)
-        charts = Charts(self.frame(features), code, lift, quadric)
-        return charts, self.samples(features, count)
+        # Rows that only fill up go all the way with the others, see `gather`.
+        core = len(quadric)
+        padded = functional.pad(quadric, (0, 0, 0, len(features) - core))
+        code, lift = self.surface.encode(features, padded)
+        frame, uv = self.frame(features), self.samples(features, count)
+        return Charts(frame[:core], code[:core], lift[:core], quadric), uv[:core]
 
 
 def evaluate(surface: Surface, charts: Charts, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -72,8 +72,10 @@ def test_patches_together_or_alone_are_the_same_graph(net, sphere):
     left = patch_of(sphere, np.arange(100, dtype=np.int32))
     right = patch_of(sphere, np.arange(500, 620, dtype=np.int32))
     with torch.inference_mode():
-        both = net.backbone(gather([left, right]))
-        alone = torch.cat([net.backbone(gather([left])), net.backbone(gather([right]))])
+        both = net.backbone(gather([left, right]))[:220]
+        one, other = net.backbone(gather([left])), net.backbone(gather([right]))
+    assert len(one) == len(other) == 128  # filled up
+    alone = torch.cat([one[:100], other[:120]])
     torch.testing.assert_close(both, alone, atol=1e-4, rtol=1e-4)
 
 

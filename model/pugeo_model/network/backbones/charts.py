@@ -125,7 +125,7 @@ class ChartsBackbone(nn.Module):
         self.out = nn.Linear((len(MESSAGES) + 1) * width, features)
 
     def forward(self, hoods: Neighbourhoods) -> Tensor:
-        """Features ``(core, features)`` of the core rows, in the order of the patches."""
+        """Features ``(n, features)``: the core rows in the order of the patches, then filling."""
         levels = [self.norm(self.neighbours(hoods.edges, hoods.scalars))]
         for layer, turn in zip(self.messages, hoods.rounds, strict=True):
             levels = [level.index_select(0, turn.rows) for level in levels[:-1]] + [levels[-1]]
