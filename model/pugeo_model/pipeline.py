@@ -57,6 +57,7 @@ __all__ = [
     "Piece",
     "Plan",
     "Result",
+    "agree",
     "assemble",
     "finish",
     "land",
@@ -65,7 +66,11 @@ __all__ = [
     "prepare",
     "propose",
     "survey",
+    "turn",
 ]
+
+Signs = NDArray[np.float64] | None
+"""Of the parts of a tile, ``None`` where its normals are final."""
 
 _OVERSAMPLE = 1.5  # candidates a point wanted
 # Spacings that half of the input's points move at most, when they land, of an input without noise:
@@ -375,14 +380,25 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     return Piece(dense, parts, sides, job.frames.noise)
 
 
+def agree(sides: Sequence[Sides | None]) -> list[Signs]:
+    """Signs of each tile's parts, by which the normals of all point outward together."""
+    known = [side for side in sides if side is not None]
+    return list(signs_of_parts(known)) if known else [None] * len(sides)
+
+
+def turn(piece: Piece, signs: Signs) -> Cloud:
+    """Return the points of a tile, their normals' signs final."""
+    if signs is None:
+        return piece.cloud
+    assert piece.cloud.normals is not None
+    normals = piece.cloud.normals * signs[piece.parts, None].astype(np.float32)
+    return replace(piece.cloud, normals=normals)
+
+
 def assemble(plan: Plan, pieces: Sequence[Piece]) -> Result:
-    """All tiles' points as one cloud, normals agreeing across the borders."""
-    clouds = [piece.cloud for piece in pieces]
-    sides = [piece.sides for piece in pieces if piece.sides is not None]
-    if sides:
-        for piece, signs in zip(pieces, signs_of_parts(sides), strict=True):
-            assert piece.cloud.normals is not None
-            piece.cloud.normals[:] *= signs[piece.parts, None].astype(np.float32)
+    """All tiles' points as one cloud."""
+    signs = agree([piece.sides for piece in pieces])
+    clouds = [turn(piece, sign) for piece, sign in zip(pieces, signs, strict=True)]
     dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
     if plan.keeps_input and len(plan.cuts) > 1:
         dense = dense.take(_input_first(plan.cuts))

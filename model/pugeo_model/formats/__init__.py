@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading and writing point clouds.
 
-A new file format is one new module with the names of `Format`, entered in ``_MODULES``.
+A new file format is one new module with the names of `Format`, entered in ``_MODULES``; with
+those of `ByRows`, if it can, in ``_BY_ROWS`` too.
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -14,7 +16,17 @@ from pugeo_model.formats import json_points, npy, npz, ply, ply_ascii, xyz
 from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
-__all__ = ["FORMATS", "Format", "Limits", "detect", "read", "write", "written_as"]
+__all__ = [
+    "FORMATS",
+    "ByRows",
+    "Format",
+    "Limits",
+    "by_rows",
+    "detect",
+    "read",
+    "write",
+    "written_as",
+]
 
 
 class Format(Protocol):
@@ -40,10 +52,22 @@ class Format(Protocol):
         """Write a cloud; the file need not be seekable."""
 
 
+class ByRows(Protocol):
+    """What a format has besides whose rows follow each other: it is written part by part."""
+
+    def head(self, cloud: Cloud, count: int, /) -> bytes:
+        """What comes before the rows of ``count`` points like those of the cloud."""
+
+    def rows(self, cloud: Cloud, /) -> Iterator[bytes]:
+        """The rows of some of the points."""
+
+
 # Asked in this order: what is recognised by less comes later.
 _MODULES: tuple[Format, ...] = (ply_ascii, ply, npz, npy, json_points, xyz)
 
 FORMATS: dict[str, Format] = {module.NAME: module for module in _MODULES}
+
+_BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz}
 
 _HEAD_BYTES = 4096
 
@@ -123,6 +147,15 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
             module.write(cloud, file)
     else:
         _named(format or "ply").write(cloud, target)
+
+
+def by_rows(cloud: Cloud, format: str) -> ByRows | None:
+    """The format, if clouds like this one can be written in it part by part; else ``None``.
+
+    Scalars of 64-bit integers are stored in whatever holds all values, which no part knows.
+    """
+    wide = any(v.dtype.kind in "iu" and v.dtype.itemsize == 8 for v in cloud.scalars.values())
+    return None if wide else _BY_ROWS.get(format)
 
 
 def written_as(path: str | os.PathLike[str]) -> str:

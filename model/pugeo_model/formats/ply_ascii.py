@@ -2,13 +2,14 @@
 """PLY written as text. Reading is that of ``ply``, which knows both."""
 
 import re
+from collections.abc import Iterator
 from typing import IO
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import ply
 from pugeo_model.formats.ply import read
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
 
 NAME = "ply-ascii"
 EXTENSIONS: tuple[str, ...] = ()
@@ -24,3 +25,13 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write text, with digits enough to read the same numbers back."""
     for block in ply.encode(cloud, text=True):
         file.write(block)
+
+
+def head(cloud: Cloud, count: int) -> bytes:
+    """What comes before the rows of ``count`` points like those of the cloud."""
+    return ply.header(cloud, count=count, text=True)
+
+
+def rows(cloud: Cloud) -> Iterator[bytes]:
+    """The rows of some of the points."""
+    return ply.body(cloud, text=True)

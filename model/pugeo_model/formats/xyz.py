@@ -2,6 +2,7 @@
 """Points as text: XYZ, PTS, CSV and their kin, one point a line."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import IO, Any
 
@@ -17,7 +18,7 @@ from pugeo_model.formats.ply.columns import VertexColumns
 from pugeo_model.formats.ply.encode import RESERVED, body, columns
 from pugeo_model.formats.ply.header import Element, Property
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
 
 NAME = "xyz"
 EXTENSIONS: tuple[str, ...] = (".xyz", ".pts", ".txt", ".csv", ".asc")
@@ -94,11 +95,21 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
 
 def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write x y z, then normals, colours and scalars where there are any, named in a comment."""
-    names = [each.name for each in columns(cloud)]
-    if len(names) > 3:
-        file.write(f"# {' '.join(names)}\n".encode())
-    for block in body(cloud, text=True):
+    file.write(head(cloud, len(cloud)))
+    for block in rows(cloud):
         file.write(block)
+
+
+def head(cloud: Cloud, count: int) -> bytes:
+    """What comes before the rows of ``count`` points like those of the cloud."""
+    del count  # the format does not say it
+    names = [each.name for each in columns(cloud)]
+    return f"# {' '.join(names)}\n".encode() if len(names) > 3 else b""
+
+
+def rows(cloud: Cloud) -> Iterator[bytes]:
+    """The rows of some of the points."""
+    return body(cloud, text=True)
 
 
 def _first_lines(head: bytes) -> list[list[bytes]]:

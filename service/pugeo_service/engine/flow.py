@@ -3,7 +3,8 @@
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,8 @@ class Flow:
         if head.sheet is not None:
             self._watcher.on_done(size)
             written, sheet = prepared, head.sheet
+            if sheet.chunks > 1:
+                written = self._submit("at_once", prepared, priority=Lanes.FIRST)
         elif head.tiles == 1:
             landed = await self._dense(prepared, size, seconds, batches)
             self._watcher.on_stage("finish")
@@ -103,13 +106,14 @@ class Flow:
         else:
             pieces = await self._tiled(prepared, head.tiles, seconds, batches)
             self._watcher.on_stage("finish")
+            if head.by_rows:
+                return await self._by_rows(prepared, pieces, seconds, batches)
             written, sheet = await self._step(
                 size, "assemble", "describe_written", prepared, pieces, order.answer
             )
             self._drop(pieces)
         _add(seconds, sheet.seconds)
-        if written is not prepared:
-            self._drop([prepared])
+        self._drop([prepared])
 
         self._watcher.on_stage("collect")
         began = time.perf_counter()
@@ -198,6 +202,50 @@ class Flow:
         self._drop([merged])
         return landed
 
+    async def _by_rows(
+        self,
+        prepared: Any,
+        pieces: list[Any],
+        seconds: dict[str, float],
+        batches: list[tuple[float, int]],
+    ) -> Outcome:
+        """Write the tiles one by one, each where it is, and bring them here in order."""
+        said = [self._submit("sides", piece, priority=Lanes.FIRST) for piece in pieces]
+        agreed, (report, spent) = await self._step(
+            LARGE_PATCHES, "agree", "describe_agreed", prepared, said, self._order.answer
+        )
+        self._drop([prepared, *said])
+        _add(seconds, {"finish": spent})
+
+        self._watcher.on_stage("collect")
+        began, writing = time.perf_counter(), 0.0
+        waiting: deque[Any] = deque()
+        numbers = iter(range(len(pieces)))
+
+        def submit() -> None:
+            if (number := next(numbers, None)) is not None:
+                piece = pieces[number]
+                rows = self._submit("write_tile", piece, agreed, number, priority=Lanes.FIRST)
+                waiting.append(rows)
+                self._drop([piece])
+
+        async def parts() -> AsyncIterator[bytes]:
+            nonlocal writing
+            # As many at one time as there are workers: what waits here takes memory.
+            for _ in range(max(1, self._pool.warm_workers)):
+                submit()
+            while waiting:
+                rows = await self._pool.fetch(waiting[0])
+                self._drop([waiting.popleft()])
+                submit()
+                writing += rows.seconds
+                yield rows.data
+
+        spool = await self._spooled(parts())
+        self._drop([agreed])
+        seconds |= {"write": writing, "collect": time.perf_counter() - began}
+        return Outcome(spool, report, seconds, batches)
+
     async def _step(self, size: int, stage: Stage, describe: Stage, *args: Any) -> tuple[Any, Any]:
         """Run a stage of the whole cloud; return the handle of its result and a description."""
         if size >= LARGE_PATCHES:
@@ -267,17 +315,23 @@ class Flow:
 
     async def _collect(self, written: Any, sheet: Sheet) -> Spool:
         """Bring the answer here, a chunk at a time, so that no worker waits for a slow client."""
+
+        async def parts() -> AsyncIterator[bytes]:
+            yield sheet.first
+            for index in range(1, sheet.chunks):
+                handle = self._submit("chunk", written, index, priority=Lanes.FIRST)
+                yield await self._pool.fetch(handle)
+                self._drop([handle])
+
+        return await self._spooled(parts())
+
+    async def _spooled(self, parts: AsyncIterator[bytes]) -> Spool:
         with disk():
             spool = Spool(self._spool_dir)
         try:
-            with disk():
-                await spool.write(sheet.first)
-            for index in range(1, sheet.chunks):
-                handle = self._submit("chunk", written, index, priority=Lanes.FIRST)
-                data = await self._pool.fetch(handle)
+            async for data in parts:
                 with disk():
                     await spool.write(data)
-                self._drop([handle])
             with disk():
                 # A disk without room must show before the answer begins.
                 await spool.flush()

@@ -58,6 +58,7 @@ class Head:
         patches: units of work.
         tiles: parts that go their way one by one; most clouds are one.
         seconds: time of each stage so far.
+        by_rows: the answer can be written tile by tile.
         sheet: of the answer, where the cloud was so small that it is done already.
         batches: seconds and patches that the network took for it.
     """
@@ -65,6 +66,7 @@ class Head:
     patches: int
     tiles: int
     seconds: dict[str, float]
+    by_rows: bool = False
     sheet: "Sheet | None" = None
     batches: tuple[tuple[float, int], ...] = ()
 

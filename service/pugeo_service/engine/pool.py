@@ -22,7 +22,12 @@ Stage = Literal[
     "finish",
     "finish_tile",
     "describe_finished",
+    "sides",
+    "agree",
+    "describe_agreed",
+    "write_tile",
     "assemble",
+    "at_once",
     "describe_written",
     "chunk",
 ]

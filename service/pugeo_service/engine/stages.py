@@ -8,7 +8,7 @@ import functools
 import io
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,20 +19,29 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.errors import LimitExceeded
 from pugeo_model.formats.limits import Limits
 from pugeo_model.options import Options
-from pugeo_service.engine.order import Head, Order, Sheet
+from pugeo_service.engine.answers import (
+    agree,
+    assemble,
+    at_once,
+    chunk,
+    describe_agreed,
+    describe_finished,
+    describe_written,
+    sides,
+    write_tile,
+)
+from pugeo_service.engine.order import Head, Order
+from pugeo_service.engine.values import Charted, Cut, Finished, Merged, Prepared, Written
 
 __all__ = [
-    "Charted",
-    "Cut",
-    "Finished",
-    "Merged",
-    "Prepared",
-    "Written",
+    "agree",
     "assemble",
+    "at_once",
     "chunk",
     "cut_landings",
     "cut_patches",
     "cut_tile",
+    "describe_agreed",
     "describe_finished",
     "describe_merged",
     "describe_prepared",
@@ -46,71 +55,11 @@ __all__ = [
     "prepare",
     "prepare_tile",
     "propose",
+    "sides",
+    "write_tile",
 ]
 
-_CHUNK_BYTES = 8 << 20
 _AT_ONCE_PATCHES = 1
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A cloud that was read, or a tile of one.
-
-    Attributes:
-        plan: how the cloud is cut; ``None`` for a tile.
-        job: the tile, or the cloud where it is in one piece; ``None`` where it is not.
-        seconds: of each stage so far.
-        written: the answer, where the cloud was small enough to be done at once.
-        batches: seconds and patches that the network took for it.
-    """
-
-    plan: Any
-    job: Any
-    seconds: dict[str, float]
-    written: "Written | None" = None
-    batches: tuple[tuple[float, int], ...] = ()
-
-
-@dataclass(frozen=True)
-class Cut:
-    """Some of the patches of a job."""
-
-    patches: list[Any]
-    candidates: int
-
-
-@dataclass(frozen=True)
-class Charted:
-    """Patches that went through the network."""
-
-    charts: list[Any]
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Merged:
-    """Where candidates, or the points of the answer, are to land."""
-
-    landings: list[Any]
-    seconds: float
-    batches: list[tuple[float, int]]
-
-
-@dataclass(frozen=True)
-class Finished:
-    """The dense points of a tile."""
-
-    piece: Any
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Written:
-    """The answer's bytes, uint8."""
-
-    data: NDArray[np.uint8]
-    report: dict[str, Any]
-    seconds: dict[str, float]
 
 
 @functools.lru_cache(maxsize=2)
@@ -134,7 +83,8 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     plan = pipeline.survey(cloud, options)
     job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
     seconds = {"read": read - start, "prepare": time.perf_counter() - read}
-    prepared = Prepared(plan, job, seconds)
+    by_rows = not plan.keeps_input and formats.by_rows(plan.cloud, order.answer) is not None
+    prepared = Prepared(plan, job, seconds, by_rows)
     if job is not None and len(job.patches) <= _AT_ONCE_PATCHES:
         return _at_once(prepared, order)
     return prepared
@@ -158,7 +108,7 @@ def _at_once(prepared: Prepared, order: Order) -> Prepared:
         "land": landing,
         "merge": proposed.seconds + merged.seconds,
     }
-    return Prepared(prepared.plan, prepared.job, seconds, written, tuple(proposed.batches))
+    return replace(prepared, seconds=seconds, written=written, batches=tuple(proposed.batches))
 
 
 def describe_prepared(prepared: Prepared) -> Head:
@@ -167,7 +117,7 @@ def describe_prepared(prepared: Prepared) -> Head:
     patches = plan.report["patches"] if job is None else len(job.patches)
     tiles = 1 if job is not None else len(plan.cuts)
     sheet = None if prepared.written is None else describe_written(prepared.written)
-    return Head(patches, tiles, prepared.seconds, sheet, prepared.batches)
+    return Head(patches, tiles, prepared.seconds, prepared.by_rows, sheet, prepared.batches)
 
 
 def cut_tile(prepared: Prepared, number: int) -> Any:
@@ -245,37 +195,6 @@ def finish_tile(prepared: Prepared, batches: Sequence[list[Any]]) -> Finished:
     start = time.perf_counter()
     piece = pipeline.finish(prepared.job, [landed for batch in batches for landed in batch])
     return Finished(piece, time.perf_counter() - start)
-
-
-def describe_finished(finished: Finished) -> float:
-    """Return the seconds that finishing a tile took."""
-    return finished.seconds
-
-
-def assemble(prepared: Prepared, parts: Sequence[Finished], answer: str) -> Written:
-    """Put the tiles of a cloud together and write it in the format ``answer``."""
-    start = time.perf_counter()
-    result = pipeline.assemble(prepared.plan, [part.piece for part in parts])
-    finished = time.perf_counter()
-    buffer = io.BytesIO()
-    formats.write(result.cloud, buffer, format=answer)
-    seconds = {"finish": finished - start, "write": time.perf_counter() - finished}
-    data = np.frombuffer(buffer.getbuffer(), np.uint8)
-    return Written(data, result.report, seconds)
-
-
-def describe_written(written: Written) -> Sheet:
-    """Return what the front needs to know of an answer, and the first chunk of it."""
-    chunks = -(-len(written.data) // _CHUNK_BYTES)
-    return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
-
-
-def chunk(written: Written | Prepared, index: int) -> bytes:
-    """Return a part of the answer small enough for the front's memory."""
-    if isinstance(written, Prepared):
-        assert written.written is not None
-        written = written.written
-    return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()
 
 
 def _check_output(cloud: Cloud, options: Options, limit: int) -> None:

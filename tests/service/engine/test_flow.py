@@ -17,6 +17,7 @@ from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
 from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
 from pugeo_service.engine.sample import sample_order
+from pugeo_service.engine.values import Rows
 from pugeo_service.spool import Spool
 
 ORDER = replace(sample_order("standard", deadline_s=60.0), batch_patches=2)
@@ -41,6 +42,7 @@ class Recorder:
     seconds: Callable[[Handle], float] = lambda _: 0.0
     fails: str = ""
     tiles: int = 1
+    by_rows: bool = False
     handles: list[Handle] = field(default_factory=list)
     running: int = 0
     most_running: int = 0
@@ -82,18 +84,19 @@ class Recorder:
         await asyncio.sleep(0)
         if handle.args and getattr(handle.args[0], "stage", None) == self.fails:
             raise KeyError(self.fails)
-        match handle.stage:
-            case "describe_prepared":
-                whole = handle.args[0].stage == "prepare"
-                return Head(self.patches, self.tiles if whole else 1, {"prepare": 1.0})
-            case "describe_finished":
-                return 1.0
-            case "describe_merged":
-                return self.patches, 0.0, [(0.1, 2)]
-            case "describe_written":
-                return Sheet(3, b"0", {"points_in": 1}, {"finish": 0.0, "write": 0.0})
-            case _:
-                return str(handle.args[1]).encode()
+        whole = handle.args[0].stage == "prepare"
+        answers: dict[str, Any] = {
+            "describe_prepared": Head(
+                self.patches, self.tiles if whole else 1, {"prepare": 1.0}, self.by_rows
+            ),
+            "describe_finished": 1.0,
+            "describe_merged": (self.patches, 0.0, [(0.1, 2)]),
+            "describe_agreed": ({"points_in": 1}, 2.0),
+            "describe_written": Sheet(3, b"0", {"points_in": 1}, {"finish": 0.0, "write": 0.0}),
+            "write_tile": Rows(str(handle.args[-1]).encode(), 0.5),
+            "chunk": str(handle.args[-1]).encode(),
+        }
+        return answers[handle.stage]
 
     def release(self, handles: Iterable[Handle]) -> None:
         for handle in handles:
@@ -155,10 +158,27 @@ def test_a_cloud_in_tiles(tmp_path: Path) -> None:
     assert not any(handle.live for handle in pool.handles)
 
 
-@pytest.mark.parametrize("stage", ["predict", "prepare_tile"])
+def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
+    """Where rows can follow each other nothing is joined: tiles agree, and each is written."""
+    pool = Recorder(9, seconds=lambda _: 0.001, tiles=5, by_rows=True)
+    outcome, data = run(pool, tmp_path)
+    assert data == b"01234"
+    assert not pool.of("assemble")
+    (agreed,) = pool.of("agree")
+    assert [said.stage for said in agreed.args[1]] == ["sides"] * 5
+    written = pool.of("write_tile")
+    assert [handle.args[0].args[0].args[0].args[1] for handle in written] == list(range(5))
+    assert all(handle.args[1] is agreed for handle in written)
+    assert outcome.report == {"points_in": 1}
+    assert outcome.seconds["finish"] == 7.0
+    assert outcome.seconds["write"] == 2.5
+    assert not any(handle.live for handle in pool.handles)
+
+
+@pytest.mark.parametrize("stage", ["predict", "prepare_tile", "agree"])
 def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
     """Its error is the cloud's, and the other tiles are given back."""
-    pool = Recorder(9, fails=stage, tiles=5)
+    pool = Recorder(9, fails=stage, tiles=5, by_rows=True)
     with pytest.raises(KeyError, match=stage):
         run(pool, tmp_path)
     assert pool.running == 0
@@ -172,14 +192,15 @@ def test_a_cloud_that_is_done_at_once(tmp_path: Path) -> None:
         async def fetch(self, handle: Handle) -> Any:
             if handle.stage == "describe_prepared":
                 sheet = Sheet(2, b"0", {"points_in": 1}, {"finish": 0.5})
-                return Head(1, 1, {"prepare": 1.0, "predict": 2.0}, sheet, ((2.0, 1),))
+                return Head(1, 1, {"prepare": 1.0, "predict": 2.0}, False, sheet, ((2.0, 1),))
             return await super().fetch(handle)
 
     done: list[int] = []
     pool = Quick(1)
     outcome, data = run(pool, tmp_path, Watcher(on_done=done.append))
     assert data == b"01"
-    assert [handle.stage for handle in pool.handles] == ["prepare", "describe_prepared", "chunk"]
+    stages = [handle.stage for handle in pool.handles]
+    assert stages == ["prepare", "describe_prepared", "at_once", "chunk"]
     assert (outcome.batches, done) == ([(2.0, 1)], [1])
     assert outcome.seconds["finish"] == 0.5
     assert not any(handle.live for handle in pool.handles)

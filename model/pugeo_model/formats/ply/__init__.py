@@ -2,6 +2,7 @@
 """PLY, read in all its variants, written as binary little endian."""
 
 import re
+from collections.abc import Iterator
 from typing import IO
 
 from pugeo_model.cloud import Cloud
@@ -20,8 +21,10 @@ __all__ = [
     "NAME",
     "body",
     "encode",
+    "head",
     "header",
     "read",
+    "rows",
     "size",
     "sniff",
     "write",
@@ -89,6 +92,16 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write binary little endian: points in their own precision, scalars in their own types."""
     for block in encode(cloud):
         file.write(block)
+
+
+def head(cloud: Cloud, count: int) -> bytes:
+    """What comes before the rows of ``count`` points like those of the cloud."""
+    return header(cloud, count=count)
+
+
+def rows(cloud: Cloud) -> Iterator[bytes]:
+    """The rows of some of the points."""
+    return body(cloud)
 
 
 def _check_size(file: IO[bytes], parsed: Header) -> None:

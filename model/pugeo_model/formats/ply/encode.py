@@ -49,10 +49,13 @@ class Column:
     values: NDArray[Any]
 
 
-def header(cloud: Cloud, *, text: bool = False) -> bytes:
-    """Build the header for a cloud: binary little endian, or ``text``."""
+def header(cloud: Cloud, *, count: int | None = None, text: bool = False) -> bytes:
+    """Build the header for a cloud, or for ``count`` points like its own.
+
+    Binary little endian, or ``text``.
+    """
     lines = ["ply", f"format {'ascii' if text else 'binary_little_endian'} 1.0"]
-    lines.append(f"element vertex {len(cloud)}")
+    lines.append(f"element vertex {len(cloud) if count is None else count}")
     lines += [f"property {_NAMES[each.type]} {each.name}" for each in columns(cloud)]
     return "\n".join([*lines, "end_header", ""]).encode()
 

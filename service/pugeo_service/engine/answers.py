@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The last steps of a request on the workers: from dense tiles to the bytes of the answer.
+
+Formats whose rows follow each other are written tile by tile where the tile is: no worker ever
+holds the whole answer. The others are put together on one worker.
+"""
+
+import io
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pugeo_model import formats, pipeline
+from pugeo_service.engine.order import Sheet
+from pugeo_service.engine.values import Agreed, Finished, Prepared, Rows, Written
+
+__all__ = [
+    "agree",
+    "assemble",
+    "at_once",
+    "chunk",
+    "describe_agreed",
+    "describe_finished",
+    "describe_written",
+    "sides",
+    "write_tile",
+]
+
+_CHUNK_BYTES = 8 << 20
+
+
+def describe_finished(finished: Finished) -> float:
+    """Return the seconds that finishing a tile took."""
+    return finished.seconds
+
+
+def sides(finished: Finished) -> Any:
+    """Return what a tile says of the signs of its normals: little, so that only it travels."""
+    return finished.piece.sides
+
+
+def agree(prepared: Prepared, known: Sequence[Any], answer: str) -> Agreed:
+    """Let the tiles agree on signs; ``known`` is what each of them says."""
+    start = time.perf_counter()
+    plan = prepared.plan
+    signs = pipeline.agree(known)
+    report = {**plan.report, "noise": plan.noise}
+    return Agreed(signs, plan.n_out, answer, report, time.perf_counter() - start)
+
+
+def describe_agreed(agreed: Agreed) -> tuple[dict[str, Any], float]:
+    """Return the report of the run, and the seconds that agreeing took."""
+    return agreed.report, agreed.seconds
+
+
+def write_tile(finished: Finished, agreed: Agreed, number: int) -> Rows:
+    """Return the part of the answer that a tile is."""
+    start = time.perf_counter()
+    cloud = pipeline.turn(finished.piece, agreed.signs[number])
+    module = formats.by_rows(cloud, agreed.answer)
+    assert module is not None
+    head = module.head(cloud, agreed.count) if number == 0 else b""
+    data = b"".join([head, *module.rows(cloud)])
+    return Rows(data, time.perf_counter() - start)
+
+
+def assemble(prepared: Prepared, parts: Sequence[Finished], answer: str) -> Written:
+    """Put the tiles of a cloud together and write it in the format ``answer``."""
+    start = time.perf_counter()
+    result = pipeline.assemble(prepared.plan, [part.piece for part in parts])
+    finished = time.perf_counter()
+    buffer = io.BytesIO()
+    formats.write(result.cloud, buffer, format=answer)
+    seconds = {"finish": finished - start, "write": time.perf_counter() - finished}
+    data = np.frombuffer(buffer.getbuffer(), np.uint8)
+    return Written(data, result.report, seconds)
+
+
+def at_once(prepared: Prepared) -> Written:
+    """Return the answer of a cloud that was done when it was read."""
+    assert prepared.written is not None
+    return prepared.written
+
+
+def describe_written(written: Written) -> Sheet:
+    """Return what the front needs to know of an answer, and the first chunk of it."""
+    chunks = -(-len(written.data) // _CHUNK_BYTES)
+    return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
+
+
+def chunk(written: Written, index: int) -> bytes:
+    """Return a part of the answer small enough for the front's memory."""
+    return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()

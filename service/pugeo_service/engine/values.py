@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stays on the workers between the steps of a request.
+
+Everything of the model's is ``Any``: the front reads these types and must not import what they
+are made of.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Agreed", "Charted", "Cut", "Finished", "Merged", "Prepared", "Rows", "Written"]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A cloud that was read, or a tile of one.
+
+    Attributes:
+        plan: how the cloud is cut; ``None`` for a tile.
+        job: the tile, or the cloud where it is in one piece; ``None`` where it is not.
+        seconds: of each stage so far.
+        by_rows: the answer can be written tile by tile.
+        written: the answer, where the cloud was small enough to be done at once.
+        batches: seconds and patches that the network took for it.
+    """
+
+    plan: Any
+    job: Any
+    seconds: dict[str, float]
+    by_rows: bool = False
+    written: "Written | None" = None
+    batches: tuple[tuple[float, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Some of the patches of a job."""
+
+    patches: list[Any]
+    candidates: int
+
+
+@dataclass(frozen=True)
+class Charted:
+    """Patches that went through the network."""
+
+    charts: list[Any]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Where candidates, or the points of the answer, are to land."""
+
+    landings: list[Any]
+    seconds: float
+    batches: list[tuple[float, int]]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The dense points of a tile."""
+
+    piece: Any
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Agreed:
+    """What the tiles of a cloud need to know before they can be written one by one.
+
+    Attributes:
+        signs: of the normals, an entry a tile.
+        count: points of the whole answer.
+        answer: its format.
+        report: what happened.
+        seconds: that it took.
+    """
+
+    signs: list[Any]
+    count: int
+    answer: str
+    report: dict[str, Any]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a tile in the format of the answer, those of the first with what precedes them.
+
+    Attributes:
+        data: the bytes.
+        seconds: that writing took.
+    """
+
+    data: bytes
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Written:
+    """The answer's bytes, uint8."""
+
+    data: NDArray[np.uint8]
+    report: dict[str, Any]
+    seconds: dict[str, float]
