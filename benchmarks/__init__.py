@@ -5,9 +5,11 @@
     case       what a case is and what is measured of it
     one_core   one pinned core, one thread in every library
     measure    the child: bytes to bytes through the pipeline, its rival, the yardstick
+    guard      ratios that hold on any machine, for the tests
     surface    a closed bumpy surface given by a formula, and even samples of it
     rival      upsampling without learning, from library parts
     yardstick  how fast this core multiplies matrices
+    roofline   how much of that the network asks for
     machine    what the figures were measured on
     report     Markdown
 

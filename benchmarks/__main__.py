@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure speed and memory on one core and print Markdown.
 
-python -m benchmarks [--quick] [--core N]
+python -m benchmarks [--quick] [--model NAME] [--core N]
 """
 
 import argparse
 import subprocess
 import sys
+from dataclasses import replace
 
 from benchmarks.case import ALL, QUICK, Case, Figures
 from benchmarks.machine import describe
 from benchmarks.one_core import environment, pin
 from benchmarks.report import report
+from pugeo_model.errors import BadOption
 
 
 def main() -> None:
@@ -19,10 +21,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="two small cases, one run each")
     parser.add_argument("--core", type=int, help="which core; the last allowed one by default")
+    parser.add_argument("--model", default="standard", help="name or path of the weights")
     options = parser.parse_args()
     core = pin(options.core)
-    machine = describe(core)
-    cases = QUICK if options.quick else ALL
+    try:
+        machine = describe(core, options.model)
+    except BadOption as error:
+        parser.error(error.message)
+    cases = [replace(case, model=options.model) for case in (QUICK if options.quick else ALL)]
     print(report(machine, [_measured(case) for case in cases]))
 
 

@@ -2,10 +2,11 @@
 """What a case is, and what is measured of it; both travel between processes as JSON."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Self
 
-__all__ = ["ALL", "QUICK", "Accuracy", "Case", "Figures"]
+__all__ = ["ALL", "QUICK", "Accuracy", "Case", "Figures", "Work"]
 
 
 @dataclass(frozen=True)
@@ -16,11 +17,13 @@ class Case:
         points: points of the input.
         ratio: output points an input point.
         repeats: timed runs, after one that is not timed.
+        model: name of released weights, or the path of a ``.safetensors`` file.
     """
 
     points: int
     ratio: int
     repeats: int
+    model: str = "standard"
 
     @property
     def name(self) -> str:
@@ -53,6 +56,27 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
+class Work:
+    """What the network does for a chart, of which every input point has one.
+
+    Attributes:
+        charts: charts of the cloud, those of the margins of tiles included.
+        flops: floating-point operations of the matrix products, a chart.
+        bytes: of all tensors that operations read and write, a chart.
+        kind: data type of the products, one of ``Figures.gflops``.
+    """
+
+    charts: int
+    flops: float
+    bytes: float
+    kind: str
+
+    def seconds(self, gflops: Mapping[str, float]) -> float:
+        """What the products for a chart would take at the rate of their data type."""
+        return self.flops / (1e9 * gflops[self.kind])
+
+
+@dataclass(frozen=True)
 class Figures:
     """What one case gave.
 
@@ -71,6 +95,7 @@ class Figures:
         rival_accuracy: of its output.
         gflops: data type -> 10^9 operations a second of this core, fastest of three times around
             the runs: whoever shares the core can only make it slower.
+        work: of the network.
     """
 
     case: Case
@@ -85,6 +110,7 @@ class Figures:
     rival_cpu_seconds: float
     rival_accuracy: Accuracy
     gflops: dict[str, float]
+    work: Work
 
     @property
     def rate(self) -> float:
@@ -95,6 +121,16 @@ class Figures:
     def rival_rate(self) -> float:
         """The rival's output points a second of processor time."""
         return self.points_out / self.rival_cpu_seconds
+
+    @property
+    def network_seconds(self) -> float:
+        """Processor time of the stage ``network``, a chart."""
+        return self.stages["network"] / self.work.charts
+
+    @property
+    def roofline(self) -> float:
+        """Share of the measured rate that the stage ``network`` reaches, 0 to 1."""
+        return self.work.seconds(self.gflops) / self.network_seconds
 
     def to_json(self) -> str:
         """The inverse of :meth:`from_json`."""
@@ -110,6 +146,7 @@ class Figures:
                 "case": Case(**raw["case"]),
                 "accuracy": Accuracy(**raw["accuracy"]),
                 "rival_accuracy": Accuracy(**raw["rival_accuracy"]),
+                "work": Work(**raw["work"]),
             }
         )
 

@@ -17,13 +17,17 @@ _ROOT = Path(__file__).parent.parent
 _LIBRARIES = ("torch", "numpy", "scipy", "numba")
 
 
-def describe(core: int | None) -> list[tuple[str, str]]:
+def describe(core: int | None, model: str = "standard") -> list[tuple[str, str]]:
     """Label and value of everything that a figure depends on.
 
     Args:
         core: the core that work is pinned to, or ``None``.
+        model: name or path of the weights.
+
+    Raises:
+        BadOption: no such weights.
     """
-    card = read_card()
+    card = read_card(model)
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
     return [
         ("processor", _processor()),

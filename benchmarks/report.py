@@ -27,6 +27,8 @@ def report(machine: Sequence[tuple[str, str]], figures: Sequence[Figures]) -> st
             "",
             *_stages(figures),
             "",
+            *_roofline(figures),
+            "",
             *_beside(figures),
             *_warnings(figures),
         ]
@@ -86,6 +88,34 @@ def _stages(figures: Sequence[Figures]) -> list[str]:
         for each in figures
     ]
     return table(("share of the processor time", *names), rows)
+
+
+def _roofline(figures: Sequence[Figures]) -> list[str]:
+    kind = figures[0].work.kind
+    rows = [
+        (
+            each.case.name,
+            f"{each.work.flops / 1e6:.2f}",
+            f"{each.gflops[each.work.kind]:.0f}",
+            f"{1e6 * each.work.seconds(each.gflops):.1f} µs",
+            f"{1e6 * each.network_seconds:.1f} µs",
+            f"{100 * each.roofline:.0f} %",
+            f"{each.work.bytes / 1e3:.0f} kB",
+            f"{each.work.bytes / each.network_seconds / 1e9:.1f}",
+        )
+        for each in figures
+    ]
+    header = (
+        "the network, a chart",
+        "MFLOP of its products",
+        f"{kind} GFLOP/s in the same run",
+        "time at that rate",
+        "time of the stage",
+        "share of the rate",
+        "its tensors, read and written",
+        "GB/s of them",
+    )
+    return table(header, rows)
 
 
 def _beside(figures: Sequence[Figures]) -> list[str]:

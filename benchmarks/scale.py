@@ -20,6 +20,7 @@ from benchmarks.machine import describe, peak_bytes
 from benchmarks.one_core import environment, pin
 from benchmarks.report import table
 from pugeo_model import Cloud
+from pugeo_model.errors import BadOption
 from pugeo_model.formats import read, write
 from pugeo_model.upsampler import Upsampler
 
@@ -33,14 +34,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scale", description=__doc__)
     parser.add_argument("--points", type=int, nargs="+", default=_SIZES, help="of the input")
     parser.add_argument("--ratio", type=float, default=4.0)
-    parser.add_argument("--model", default="standard")
+    parser.add_argument("--model", default="standard", help="name or path of the weights")
     parser.add_argument("--core", type=int, help="which core; the last allowed one by default")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(_measure(options.one, options.ratio, options.model)))
         return
-    print("\n".join(table(("", ""), describe(pin(options.core)))), end="\n\n")
+    try:
+        machine = describe(pin(options.core), options.model)
+    except BadOption as error:
+        parser.error(error.message)
+    print("\n".join(table(("", ""), machine)), end="\n\n")
     found, rows = [], []
     for count in options.points:
         print(f"measuring {count:,} points ...", file=sys.stderr, flush=True)
