@@ -17,10 +17,9 @@ merge then spreads points that are where they seem to be.
 """
 
 import itertools
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from pugeo_model.finish.attributes import carry
 from pugeo_model.finish.joining import Sides, signs_of_parts, take_sides
 from pugeo_model.finish.orientation import method_of, orient, propagate
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
-from pugeo_model.geometry.frames import Frames, fit_frames
+from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.merge.atlas import (
@@ -45,8 +44,9 @@ from pugeo_model.merge.atlas import (
     parcels,
 )
 from pugeo_model.merge.placement import place, shares
-from pugeo_model.normalise import Placement, normalise
+from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.plan import Job, Piece, Plan, Result
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:
@@ -72,134 +72,11 @@ __all__ = [
 Signs = NDArray[np.float64] | None
 """Of the parts of a tile, ``None`` where its normals are final."""
 
-_OVERSAMPLE = 1.5  # candidates a point wanted
 # Spacings that half of the input's points move at most, when they land, of an input without noise:
 # 0.002 to 0.007 on clean and even validation inputs, to 0.03 on random ones, 0.02 to 0.18 with 1 %.
 _EXACT = 0.02
 _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
 _NONE = np.empty((0, 0), dtype=np.int32)
-_FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A cloud that is known to be usable, and how it is cut.
-
-    Attributes:
-        cloud: the cleaned input.
-        points: ``(M, 3)`` float64, unit scale.
-        placement: offset and scale taken out.
-        centroid: ``(3,)``, unit scale.
-        cuts: the tiles, see :mod:`pugeo_model.tiles`.
-        noise: of the whole cloud, ``None`` where the only tile finds out by itself.
-        options: as asked for.
-        orient: the method that gives normals their signs, never ``auto``.
-        n_out: points of the answer.
-        report: what happened, JSON-able.
-    """
-
-    cloud: Cloud
-    points: NDArray[np.float64]
-    placement: Placement
-    centroid: NDArray[np.float64]
-    cuts: list[Cut]
-    noise: float | None
-    options: Options
-    orient: str
-    n_out: int
-    report: dict[str, Any]
-
-    @property
-    def keeps_input(self) -> bool:
-        """Whether the answer begins with the input points: asked for, or no point is new."""
-        return self.options.keep_input or self.n_out == len(self.points)
-
-    @property
-    def tiles(self) -> Iterator[Tile]:
-        """The tiles, each made when its turn comes."""
-        return map(self.tile, range(len(self.cuts)))
-
-    def tile(self, number: int) -> Tile:
-        """Return a tile with all that it needs on its way."""
-        cut = self.cuts[number]
-        whole = len(self.cuts) == 1
-        wanted = math.ceil(_OVERSAMPLE * self.n_out / len(self.points))
-        return Tile(
-            cloud=self.cloud if whole else self.cloud.take(cut.rows),
-            points=self.points if whole else self.points[cut.rows],
-            rows=cut.rows,
-            core=cut.core,
-            n_out=cut.n_out,
-            candidates=max(_FEWEST_CANDIDATES, wanted),
-            keeps_input=self.keeps_input,
-            noise=self.noise,
-            placement=self.placement,
-            orient=self.orient,
-            viewpoint=self.options.viewpoint,
-            centroid=self.centroid,
-            seed=self.options.seed,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """A prepared tile.
-
-    Attributes:
-        tile: what it was made of.
-        cloud: its input points, rows in the order of the patches.
-        order: ``(M,)`` int32, the row of the tile that each is.
-        core: ``(M,)`` which of them are the core's.
-        points: ``(M, 3)`` float64, unit scale.
-        neighbours: ``(M, 32)`` int32, nearest first.
-        frames: one a point.
-        patches: the units of work; their cores partition the points.
-    """
-
-    tile: Tile
-    cloud: Cloud
-    order: NDArray[np.int32]
-    core: NDArray[np.bool_]
-    points: NDArray[np.float64]
-    neighbours: NDArray[np.int32]
-    frames: Frames
-    patches: list[Patch]
-
-    @property
-    def candidates(self) -> int:
-        """Candidates a chart."""
-        return self.tile.candidates
-
-    @property
-    def nothing_new(self) -> bool:
-        """Whether the answer is the input points, with normals."""
-        return self.tile.keeps_input and self.tile.n_out == self.tile.core
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """The dense points of a tile's core.
-
-    Attributes:
-        cloud: in the cloud's own frame and units.
-        parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
-            signs are final.
-        sides: what the tile knows of its parts, where they are not.
-        noise: of its input, see `noise_level`.
-    """
-
-    cloud: Cloud
-    parts: NDArray[np.int32] | None
-    sides: Sides | None
-    noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """The dense cloud and the report on its making."""
-
-    cloud: Cloud
-    report: dict[str, Any]
 
 
 def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a cloud is between the stages of its way: a plan, jobs, pieces, the result."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.finish.joining import Sides
+from pugeo_model.geometry.frames import Frames
+from pugeo_model.geometry.patches import Patch
+from pugeo_model.normalise import Placement
+from pugeo_model.options import Options
+from pugeo_model.tiles import Cut, Tile
+
+__all__ = ["Job", "Piece", "Plan", "Result"]
+
+_OVERSAMPLE = 1.5  # candidates a point wanted
+_FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A cloud that is known to be usable, and how it is cut.
+
+    Attributes:
+        cloud: the cleaned input.
+        points: ``(M, 3)`` float64, unit scale.
+        placement: offset and scale taken out.
+        centroid: ``(3,)``, unit scale.
+        cuts: the tiles, see :mod:`pugeo_model.tiles`.
+        noise: of the whole cloud, ``None`` where the only tile finds out by itself.
+        options: as asked for.
+        orient: the method that gives normals their signs, never ``auto``.
+        n_out: points of the answer.
+        report: what happened, JSON-able.
+    """
+
+    cloud: Cloud
+    points: NDArray[np.float64]
+    placement: Placement
+    centroid: NDArray[np.float64]
+    cuts: list[Cut]
+    noise: float | None
+    options: Options
+    orient: str
+    n_out: int
+    report: dict[str, Any]
+
+    @property
+    def keeps_input(self) -> bool:
+        """Whether the answer begins with the input points: asked for, or no point is new."""
+        return self.options.keep_input or self.n_out == len(self.points)
+
+    @property
+    def tiles(self) -> Iterator[Tile]:
+        """The tiles, each made when its turn comes."""
+        return map(self.tile, range(len(self.cuts)))
+
+    def tile(self, number: int) -> Tile:
+        """Return a tile with all that it needs on its way."""
+        cut = self.cuts[number]
+        whole = len(self.cuts) == 1
+        wanted = math.ceil(_OVERSAMPLE * self.n_out / len(self.points))
+        return Tile(
+            cloud=self.cloud if whole else self.cloud.take(cut.rows),
+            points=self.points if whole else self.points[cut.rows],
+            rows=cut.rows,
+            core=cut.core,
+            n_out=cut.n_out,
+            candidates=max(_FEWEST_CANDIDATES, wanted),
+            keeps_input=self.keeps_input,
+            noise=self.noise,
+            placement=self.placement,
+            orient=self.orient,
+            viewpoint=self.options.viewpoint,
+            centroid=self.centroid,
+            seed=self.options.seed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A prepared tile.
+
+    Attributes:
+        tile: what it was made of.
+        cloud: its input points, rows in the order of the patches.
+        order: ``(M,)`` int32, the row of the tile that each is.
+        core: ``(M,)`` which of them are the core's.
+        points: ``(M, 3)`` float64, unit scale.
+        neighbours: ``(M, 32)`` int32, nearest first.
+        frames: one a point.
+        patches: the units of work; their cores partition the points.
+    """
+
+    tile: Tile
+    cloud: Cloud
+    order: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    points: NDArray[np.float64]
+    neighbours: NDArray[np.int32]
+    frames: Frames
+    patches: list[Patch]
+
+    @property
+    def candidates(self) -> int:
+        """Candidates a chart."""
+        return self.tile.candidates
+
+    @property
+    def nothing_new(self) -> bool:
+        """Whether the answer is the input points, with normals."""
+        return self.tile.keeps_input and self.tile.n_out == self.tile.core
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The dense points of a tile's core.
+
+    Attributes:
+        cloud: in the cloud's own frame and units.
+        parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
+            signs are final.
+        sides: what the tile knows of its parts, where they are not.
+        noise: of its input, see `noise_level`.
+    """
+
+    cloud: Cloud
+    parts: NDArray[np.int32] | None
+    sides: Sides | None
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The dense cloud and the report on its making."""
+
+    cloud: Cloud
+    report: dict[str, Any]
