@@ -277,10 +277,9 @@ def assemble(plan: Plan, pieces: Sequence[Piece]) -> Result:
     signs = agree([piece.sides for piece in pieces])
     clouds = [turn(piece, sign) for piece, sign in zip(pieces, signs, strict=True)]
     dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
-    if plan.keeps_input and len(plan.cuts) > 1:
+    if not plan.tiles_in_order:
         dense = dense.take(_input_first(plan.cuts))
-    noise = pieces[0].noise if plan.noise is None else plan.noise
-    return Result(replace(dense, notes=plan.cloud.notes), {**plan.report, "noise": noise})
+    return Result(replace(dense, notes=plan.cloud.notes), plan.told(pieces[0].noise))
 
 
 def _input_first(cuts: Sequence[Cut]) -> NDArray[np.int64]:

@@ -57,6 +57,15 @@ class Plan:
         return self.options.keep_input or self.n_out == len(self.points)
 
     @property
+    def tiles_in_order(self) -> bool:
+        """Whether the answer is the tiles' points one after the other."""
+        return len(self.cuts) == 1 or not self.keeps_input
+
+    def told(self, noise: float) -> dict[str, Any]:
+        """The report, with the noise of a cloud in one piece."""
+        return {**self.report, "noise": noise if self.noise is None else self.noise}
+
+    @property
     def tiles(self) -> Iterator[Tile]:
         """The tiles, each made when its turn comes."""
         return map(self.tile, range(len(self.cuts)))

@@ -2,7 +2,7 @@
 """Reading and writing point clouds.
 
 A new file format is one new module with the names of `Format`, entered in ``_MODULES``; with
-those of `ByRows`, if it can, in ``_BY_ROWS`` too.
+those of `ByRows`, if it can, in ``BY_ROWS`` too.
 """
 
 import os
@@ -17,6 +17,7 @@ from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
 __all__ = [
+    "BY_ROWS",
     "FORMATS",
     "ByRows",
     "Format",
@@ -67,7 +68,7 @@ _MODULES: tuple[Format, ...] = (ply_ascii, ply, npz, npy, json_points, xyz)
 
 FORMATS: dict[str, Format] = {module.NAME: module for module in _MODULES}
 
-_BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz}
+BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz}
 
 _HEAD_BYTES = 4096
 
@@ -149,13 +150,13 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
         _named(format or "ply").write(cloud, target)
 
 
-def by_rows(cloud: Cloud, format: str) -> ByRows | None:
-    """The format, if clouds like this one can be written in it part by part; else ``None``.
+def by_rows(cloud: Cloud, format: str) -> bool:
+    """Whether clouds like this one can be written part by part, by the format in ``BY_ROWS``.
 
     Scalars of 64-bit integers are stored in whatever holds all values, which no part knows.
     """
     wide = any(v.dtype.kind in "iu" and v.dtype.itemsize == 8 for v in cloud.scalars.values())
-    return None if wide else _BY_ROWS.get(format)
+    return format in BY_ROWS and not wide
 
 
 def written_as(path: str | os.PathLike[str]) -> str:

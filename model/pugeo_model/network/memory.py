@@ -19,19 +19,19 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
 _KEPT = 1 << 28  # bytes at the end of the heap that stay with the process: no layer needs more
 _LARGEST = 1 << 30
 
-
-_COMPILED = "256"
+_COMPILED = "512"  # several times what one large cloud needs
 _CACHES = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "LRU_CACHE_CAPACITY")  # of oneDNN, of torch's use
+
+
+def bound_compiled_products() -> None:
+    """Let torch keep fewer compiled products; does nothing once the first was made."""
+    for name in _CACHES:
+        os.environ.setdefault(name, _COMPILED)
 
 
 @functools.cache
 def keep_freed_memory() -> None:
-    """Let the process keep up to 256 MiB that it has freed, and 256 compiled products.
-
-    The first does nothing without glibc, the second nothing after the first product.
-    """
-    for name in _CACHES:
-        os.environ.setdefault(name, _COMPILED)
+    """Let the process keep up to 256 MiB that it has freed; does nothing without glibc."""
     if (libc := _glibc()) is not None:
         libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST)
         libc.mallopt(_M_TRIM_THRESHOLD, _KEPT)

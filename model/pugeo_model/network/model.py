@@ -9,7 +9,7 @@ import torch
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
 from pugeo_model.network.landing import Lander, settle
-from pugeo_model.network.memory import keep_freed_memory
+from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import PUGeoNet
 
@@ -32,10 +32,12 @@ class Model:
     """
 
     def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
+        # First of all, since a lander tries a product out.
+        bound_compiled_products()
+        keep_freed_memory()
         self.net = net.eval()
         self.card = card
         self._lander = Lander(self.net.surface)
-        keep_freed_memory()
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:

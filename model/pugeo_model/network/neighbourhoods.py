@@ -85,7 +85,7 @@ def gather(patches: Sequence[Patch]) -> Neighbourhoods:
 
 
 def _joined(parts: Sequence[NDArray[Any]], axis: int = 0) -> Tensor:
-    """Arrays one after the other; what is alone, as in serving, is not copied."""
+    """Arrays one after the other."""
     joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
     return torch.from_numpy(joined)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The last steps of a request on the workers: from dense tiles to the bytes of the answer.
 
-Formats whose rows follow each other are written tile by tile where the tile is: no worker ever
-holds the whole answer. The others are put together on one worker.
+Formats whose rows follow each other are written tile by tile where the tile is: nobody ever holds
+the bytes of the whole answer. The others are put together on one worker.
 """
 
 import io
@@ -14,7 +14,7 @@ import numpy as np
 
 from pugeo_model import formats, pipeline
 from pugeo_service.engine.order import Sheet
-from pugeo_service.engine.values import Agreed, Finished, Prepared, Rows, Written
+from pugeo_service.engine.values import Agreed, Finished, Prepared, Written
 
 __all__ = [
     "agree",
@@ -46,8 +46,8 @@ def agree(prepared: Prepared, known: Sequence[Any], answer: str) -> Agreed:
     start = time.perf_counter()
     plan = prepared.plan
     signs = pipeline.agree(known)
-    report = {**plan.report, "noise": plan.noise}
-    return Agreed(signs, plan.n_out, answer, report, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    return Agreed(signs, plan.n_out, answer, plan.told(plan.noise), seconds)
 
 
 def describe_agreed(agreed: Agreed) -> tuple[dict[str, Any], float]:
@@ -55,15 +55,18 @@ def describe_agreed(agreed: Agreed) -> tuple[dict[str, Any], float]:
     return agreed.report, agreed.seconds
 
 
-def write_tile(finished: Finished, agreed: Agreed, number: int) -> Rows:
-    """Return the part of the answer that a tile is."""
+def write_tile(finished: Finished, agreed: Agreed, number: int) -> Written:
+    """Return the part of the answer that a tile is; that of the first with what precedes rows."""
     start = time.perf_counter()
     cloud = pipeline.turn(finished.piece, agreed.signs[number])
-    module = formats.by_rows(cloud, agreed.answer)
-    assert module is not None
-    head = module.head(cloud, agreed.count) if number == 0 else b""
-    data = b"".join([head, *module.rows(cloud)])
-    return Rows(data, time.perf_counter() - start)
+    module = formats.BY_ROWS[agreed.answer]
+    buffer = io.BytesIO()
+    if number == 0:
+        buffer.write(module.head(cloud, agreed.count))
+    for block in module.rows(cloud):
+        buffer.write(block)
+    data = np.frombuffer(buffer.getbuffer(), np.uint8)
+    return Written(data, agreed.report, {"write": time.perf_counter() - start})
 
 
 def assemble(prepared: Prepared, parts: Sequence[Finished], answer: str) -> Written:
@@ -85,7 +88,7 @@ def at_once(prepared: Prepared) -> Written:
 
 
 def describe_written(written: Written) -> Sheet:
-    """Return what the front needs to know of an answer, and the first chunk of it."""
+    """Return what the front needs to know of some bytes, and the first chunk of them."""
     chunks = -(-len(written.data) // _CHUNK_BYTES)
     return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
 

@@ -3,7 +3,6 @@
 
 import asyncio
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -117,7 +116,7 @@ class Flow:
 
         self._watcher.on_stage("collect")
         began = time.perf_counter()
-        spool = await self._collect(written, sheet)
+        spool = await self._spooled(self._chunks(written, sheet))
         seconds["collect"] = time.perf_counter() - began
         return Outcome(spool, sheet.report, seconds, batches)
 
@@ -186,6 +185,7 @@ class Flow:
         batches += ran
         began = time.perf_counter()
         candidates = await self._spread(size, landings, "cut_landings", "land", proposed)
+        self._drop([proposed])
         _add(seconds, {"land": time.perf_counter() - began})
 
         self._watcher.on_stage("merge")
@@ -193,7 +193,7 @@ class Flow:
             size, "merge", "describe_merged", prepared, charted, candidates
         )
         _add(seconds, {"merge": proposing + merging})
-        self._drop([proposed, *charted, *candidates])
+        self._drop([*charted, *candidates])
 
         self._watcher.on_stage("land")
         began = time.perf_counter()
@@ -218,32 +218,26 @@ class Flow:
         _add(seconds, {"finish": spent})
 
         self._watcher.on_stage("collect")
-        began, writing = time.perf_counter(), 0.0
-        waiting: deque[Any] = deque()
-        numbers = iter(range(len(pieces)))
+        began, waited = time.perf_counter(), 0.0
 
-        def submit() -> None:
-            if (number := next(numbers, None)) is not None:
-                piece = pieces[number]
-                rows = self._submit("write_tile", piece, agreed, number, priority=Lanes.FIRST)
-                waiting.append(rows)
+        async def chunks() -> AsyncIterator[bytes]:
+            nonlocal waited
+            for number, piece in enumerate(pieces):
+                asked = time.perf_counter()
+                sheet: Sheet
+                written, sheet = await self._step(
+                    LARGE_PATCHES, "write_tile", "describe_written", piece, agreed, number
+                )
+                waited += time.perf_counter() - asked
                 self._drop([piece])
+                _add(seconds, sheet.seconds)
+                async for data in self._chunks(written, sheet):
+                    yield data
+                self._drop([written])
 
-        async def parts() -> AsyncIterator[bytes]:
-            nonlocal writing
-            # As many at one time as there are workers: what waits here takes memory.
-            for _ in range(max(1, self._pool.warm_workers)):
-                submit()
-            while waiting:
-                rows = await self._pool.fetch(waiting[0])
-                self._drop([waiting.popleft()])
-                submit()
-                writing += rows.seconds
-                yield rows.data
-
-        spool = await self._spooled(parts())
+        spool = await self._spooled(chunks())
         self._drop([agreed])
-        seconds |= {"write": writing, "collect": time.perf_counter() - began}
+        seconds["collect"] = time.perf_counter() - began - waited
         return Outcome(spool, report, seconds, batches)
 
     async def _step(self, size: int, stage: Stage, describe: Stage, *args: Any) -> tuple[Any, Any]:
@@ -313,19 +307,16 @@ class Flow:
     def _priority(self, patches: int) -> float:
         return Lanes.priority(self._came, patches, background=self._order.background)
 
-    async def _collect(self, written: Any, sheet: Sheet) -> Spool:
-        """Bring the answer here, a chunk at a time, so that no worker waits for a slow client."""
-
-        async def parts() -> AsyncIterator[bytes]:
-            yield sheet.first
-            for index in range(1, sheet.chunks):
-                handle = self._submit("chunk", written, index, priority=Lanes.FIRST)
-                yield await self._pool.fetch(handle)
-                self._drop([handle])
-
-        return await self._spooled(parts())
+    async def _chunks(self, written: Any, sheet: Sheet) -> AsyncIterator[bytes]:
+        """Bring bytes here, a chunk at a time: little is in memory whatever the size."""
+        yield sheet.first
+        for index in range(1, sheet.chunks):
+            handle = self._submit("chunk", written, index, priority=Lanes.FIRST)
+            yield await self._pool.fetch(handle)
+            self._drop([handle])
 
     async def _spooled(self, parts: AsyncIterator[bytes]) -> Spool:
+        """Put all on disk here, so that no worker waits for a slow client."""
         with disk():
             spool = Spool(self._spool_dir)
         try:

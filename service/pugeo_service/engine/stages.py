@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steps of a request as functions that run in a worker process.
 
-Values between them stay on the workers; only ``Head`` and ``Sheet`` travel to the front.
+Values between them stay on the workers; only what describes them, and chunks of answers, travel
+to the front.
 """
 
 import functools
@@ -83,7 +84,7 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     plan = pipeline.survey(cloud, options)
     job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
     seconds = {"read": read - start, "prepare": time.perf_counter() - read}
-    by_rows = not plan.keeps_input and formats.by_rows(plan.cloud, order.answer) is not None
+    by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, order.answer)
     prepared = Prepared(plan, job, seconds, by_rows)
     if job is not None and len(job.patches) <= _AT_ONCE_PATCHES:
         return _at_once(prepared, order)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Agreed", "Charted", "Cut", "Finished", "Merged", "Prepared", "Rows", "Written"]
+__all__ = ["Agreed", "Charted", "Cut", "Finished", "Merged", "Prepared", "Written"]
 
 
 @dataclass(frozen=True)
@@ -88,21 +88,8 @@ class Agreed:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """The rows of a tile in the format of the answer, those of the first with what precedes them.
-
-    Attributes:
-        data: the bytes.
-        seconds: that writing took.
-    """
-
-    data: bytes
-    seconds: float
-
-
-@dataclass(frozen=True)
 class Written:
-    """The answer's bytes, uint8."""
+    """Bytes of the answer, uint8: all, or those of a tile."""
 
     data: NDArray[np.uint8]
     report: dict[str, Any]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,15 @@ import pytest
 from pugeo_model import formats, pipeline, weights
 from pugeo_model.cloud import Cloud
 from pugeo_model.options import Options
+from pugeo_service.engine import stages
 from pugeo_service.engine.answers import agree, assemble, sides, write_tile
+from pugeo_service.engine.sample import sample_order
 from pugeo_service.engine.values import Finished, Prepared
 
 
-def sphere(scalars: dict[str, Any]) -> Cloud:
-    """Return 3,000 points with colours and scalars."""
-    directions = np.random.default_rng(0).normal(size=(3000, 3))
+def sphere(scalars: dict[str, Any], count: int = 3000) -> Cloud:
+    """Return points with colours and scalars."""
+    directions = np.random.default_rng(0).normal(size=(count, 3))
     points = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     colors = (127 + 127 * points).astype(np.uint8)
     return Cloud(points.astype(np.float32), colors=colors, scalars=scalars)
@@ -42,21 +45,47 @@ def test_tile_by_tile_or_together(orient: str) -> None:
     prepared, tiles = in_tiles(sphere({"time": np.arange(3000.0)}), orient=orient)
     for answer in ("ply", "ply-ascii", "xyz"):
         agreed = agree(prepared, [sides(tile) for tile in tiles], answer)
-        rows = [write_tile(tile, agreed, number) for number, tile in enumerate(tiles)]
+        rows = [write_tile(tile, agreed, number).data for number, tile in enumerate(tiles)]
         whole = assemble(prepared, tiles, answer)
-        assert b"".join(each.data for each in rows) == whole.data.tobytes()
+        assert np.array_equal(np.concatenate(rows), whole.data)
         assert agreed.report == whole.report
     back = formats.read(io.BytesIO(assemble(prepared, tiles, "ply").data.tobytes()))
     assert back.normals is not None
     assert (np.sum(back.normals * back.points, axis=1) > 0).all()
 
 
-def test_what_is_not_written_tile_by_tile() -> None:
-    """Formats with a column after the other, and integers whose width all values decide."""
-    plain, wide = sphere({}), sphere({"time": np.arange(3000)})
-    assert {name for name in formats.FORMATS if formats.by_rows(plain, name)} == {
-        "ply",
-        "ply-ascii",
-        "xyz",
-    }
-    assert formats.by_rows(wide, "ply") is None
+@pytest.mark.parametrize(
+    ("answer", "options", "scalars", "expected"),
+    [
+        ("ply", {}, {"time": np.arange(9000.0)}, True),
+        ("xyz", {}, {"part": np.arange(9000, dtype=np.int32)}, True),
+        # A column after the other.
+        ("npz", {}, {}, False),
+        # All values decide how wide the integers are stored.
+        ("ply", {}, {"time": np.arange(9000)}, False),
+        # The input's points lead, whatever tile they are in.
+        ("ply", {"keep_input": True}, {}, False),
+    ],
+)
+def test_what_is_written_tile_by_tile(
+    monkeypatch: pytest.MonkeyPatch,
+    answer: str,
+    options: dict[str, Any],
+    scalars: dict[str, Any],
+    expected: bool,
+) -> None:
+    """Clouds whose rows can follow each other as the tiles give them."""
+    cut = pipeline.survey
+    monkeypatch.setattr(pipeline, "survey", lambda cloud, options: cut(cloud, options, 3000))
+    file = io.BytesIO()
+    formats.write(sphere(scalars, 9000), file, format="npz")
+    order = replace(
+        sample_order("standard", 60.0),
+        answer=answer,
+        options={"ratio": 2.0, **options},
+        max_points=9000,
+        max_output_points=18_000,
+    )
+    prepared = stages.prepare(np.frombuffer(file.getvalue(), np.uint8), order)
+    assert len(prepared.plan.cuts) > 2
+    assert prepared.by_rows is expected
