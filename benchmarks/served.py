@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--ratio R]``.
+
+A service of two workers and one of a single worker are started one after the other on all cores of
+this process: how soon they are ready, how soon a small cloud comes back when nobody else is there,
+how many points come out in a second when several clients send at once and of one large cloud, and
+the resident memory of front and workers together, shared pages counted in each.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import surface
+from benchmarks.machine import describe
+from benchmarks.reliability.processes import Watch, family
+from benchmarks.reliability.service import Server, served
+from benchmarks.report import table
+from pugeo_client import Client
+
+__all__ = ["main"]
+
+_SMALL, _SMALL_TIMES = 2_000, 25
+_EACH, _REQUESTS, _CLIENTS = 10_000, 32, 4
+_RATIO = 4.0
+_LOOK_S = 0.2
+_PATIENCE_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one service did.
+
+    Attributes:
+        ready: seconds from its start.
+        latency: seconds, of a small cloud, in the median.
+        many: points a second to several clients.
+        large: points a second of the large cloud.
+        idle: bytes before the large cloud.
+        peak: bytes at most on its way.
+    """
+
+    ready: float
+    latency: float
+    many: float
+    large: float
+    idle: int
+    peak: int
+
+
+def main() -> None:
+    """Measure both services and print Markdown."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.served", description=__doc__)
+    parser.add_argument("--points", type=int, default=1_000_000, help="of the large cloud")
+    parser.add_argument("--ratio", type=float, default=8.0, help="of the large cloud")
+    parser.add_argument("--model", default="standard", help="name or path of the weights")
+    options = parser.parse_args()
+    print("\n".join(table(("", ""), describe(None, options.model))), end="\n\n")
+    cloud = _even(options.points)
+    seen = {workers: _seen(workers, cloud, options) for workers in (2, 1)}
+    rows = [
+        (
+            str(workers),
+            f"{each.ready:.1f} s",
+            f"{1e3 * each.latency:.0f} ms",
+            f"{each.many:,.0f}",
+            f"{each.large:,.0f}",
+            f"{each.idle / 2**20:,.0f} MiB",
+            f"{each.peak / 2**20:,.0f} MiB",
+        )
+        for workers, each in seen.items()
+    ]
+    large = f"{options.points:,} x{options.ratio:g}"
+    header = (
+        "workers",
+        "ready after",
+        f"{_SMALL:,} x{_RATIO:g}, median",
+        f"{_CLIENTS} clients, {_EACH:,} x{_RATIO:g}, points a second",
+        f"{large}, points a second",
+        "memory before",
+        "at most",
+    )
+    print("\n".join(table(header, rows)))
+    two, one = seen[2], seen[1]
+    print(f"\nTwo workers to one: {two.many / one.many:.2f}, {two.large / one.large:.2f}.")
+
+
+def _seen(workers: int, cloud: NDArray[np.float32], options: argparse.Namespace) -> Seen:
+    print(f"measuring with {workers} workers ...", file=sys.stderr, flush=True)
+    began = time.monotonic()
+    environment = {"PUGEO_WORKERS": str(workers), "PUGEO_MODEL": options.model}
+    with served(**environment) as server, Client(server.url, timeout=_PATIENCE_S) as client:
+        ready = time.monotonic() - began
+        small = _even(_SMALL)
+        latency = statistics.median(_seconds(client, small) for _ in range(_SMALL_TIMES))
+        many = _many(server)
+        idle = sum(each.memory_info().rss for each in family(server.process.pid))
+        with Watch(server.process.pid, _LOOK_S) as watch:
+            began = time.monotonic()
+            answer = client.upsample(cloud, ratio=options.ratio)
+            large = len(answer.points) / (time.monotonic() - began)
+    peak = max(sample.rss for sample in watch.samples)
+    return Seen(ready, latency, many, large, idle, peak)
+
+
+def _many(server: Server) -> float:
+    """Points a second of requests whose clouds all differ in size, several at a time."""
+    clouds = [_even(_EACH + 7 * more) for more in range(_REQUESTS)]
+
+    def send(cloud: NDArray[np.float32]) -> float:
+        with Client(server.url, timeout=_PATIENCE_S) as client:
+            return _seconds(client, cloud)
+
+    with ThreadPoolExecutor(_CLIENTS) as clients:
+        list(clients.map(send, clouds[:_CLIENTS]))
+        began = time.monotonic()
+        list(clients.map(send, clouds))
+        spent = time.monotonic() - began
+    return _RATIO * sum(map(len, clouds)) / spent
+
+
+def _even(points: int) -> NDArray[np.float32]:
+    return surface.spiral(points).astype(np.float32)
+
+
+def _seconds(client: Client, cloud: NDArray[np.float32]) -> float:
+    began = time.monotonic()
+    client.upsample(cloud, ratio=_RATIO)
+    return time.monotonic() - began
+
+
+if __name__ == "__main__":
+    main()
