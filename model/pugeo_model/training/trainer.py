@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
-from pugeo_model.network.memory import keep_freed_memory
+from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
@@ -45,7 +45,7 @@ class Recipe:
     architecture: Architecture = field(default_factory=Architecture)
     mix: Mix = field(default_factory=Mix)
     weights: Weights = field(default_factory=Weights)
-    steps: int = 12_500
+    steps: int = 29_000
     rate: float = 2e-3
     warmup: int = 200
     cooldown: float = 0.45
@@ -87,6 +87,7 @@ class Trainer:
         validation: list[Shape] | None = None,
     ) -> None:
         torch.set_num_threads(recipe.threads)
+        bound_compiled_products()
         keep_freed_memory()
         torch.manual_seed(recipe.seed)
         self.recipe, self.folder = recipe, folder
