@@ -9,7 +9,7 @@ from pugeo_model.network.precision import bfloat16_pays, wide_products
 @pytest.mark.parametrize("faster", [torch.bfloat16, torch.float32])
 def test_the_faster_one_is_taken(monkeypatch, faster):
     """By what a trial took, not by what the processor is said to know."""
-    monkeypatch.setattr(precision, "_seconds", lambda kind: 1.0 if kind == faster else 4.0)
+    monkeypatch.setattr(precision, "_seconds", lambda kind: 1.0 if kind == faster else 2.0)
     bfloat16_pays.cache_clear()
     try:
         layer = torch.nn.Linear(8, 8)
