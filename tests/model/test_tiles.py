@@ -75,7 +75,7 @@ def test_no_seam_shows(upsampler, ball):
     assert len(tiled) == 16_000
     assert evenness(tiled.points) < 1.03 * evenness(whole.points)
     once, tiles = (
-        np.sort(cKDTree(c.points).query(c.points, k=[2])[0].ravel()) for c in (whole, tiled)
+        np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
     )
     # Tiles count for themselves, so one pair may be closer than any in one piece: 0.86 of that. A
     # margin of 5 spacings has three pairs at 0.2 to 0.85, one of 3 has dozens.
