@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pugeo_model.geometry.principal import cross, principal_axes
 from pugeo_model.geometry.quadric import QUADRIC, fit_quadric
 
-__all__ = ["Frames", "fit_frames", "flip_frames", "noise_level", "rough_residuals"]
+__all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]
 
 _SUPPORT = 1.6  # Gaussian support of the fit in spacings, on clean input
 _WIDEST = 3.0  # on the noisiest: 32 neighbours reach no further
@@ -102,22 +102,6 @@ def noise_level(residual: NDArray[Any]) -> float:
     Detail leaves residuals here and there, noise everywhere: so it is what nine in ten exceed.
     """
     return float(np.quantile(residual, _NOISE_QUANTILE))
-
-
-def flip_frames(frames: Frames, normal: NDArray[np.bool_], tangent: NDArray[np.bool_]) -> Frames:
-    """Turn chosen frames over, as training does: signs of PCA axes are never certain.
-
-    Args:
-        frames: the frames of ``M`` points.
-        normal: ``(M,)`` where ``n`` is negated (and ``t2``, to stay right-handed).
-        tangent: ``(M,)`` where ``t1`` is negated (and ``t2``).
-    """
-    n = np.where(normal, -1.0, 1.0).astype(np.float32)
-    t = np.where(tangent, -1.0, 1.0).astype(np.float32)
-    axes = frames.axes * np.stack([t, n * t, n], axis=1)[:, :, None]
-    u, v, h = t, n * t, n
-    signs = np.stack([h, h * u, h * v, h, h * u * v, h], axis=1)
-    return Frames(axes, frames.spacing, frames.quadric * signs, frames.residual, frames.noise)
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from pugeo_model.geometry.quadric import QUADRIC
 from pugeo_model.network.pattern import disk
+from pugeo_model.network.pooling import rectify
 from pugeo_model.network.precision import wide_products
 
 __all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric"]
@@ -98,8 +99,8 @@ class Samples(nn.Module):
         )
         with wide_products():
             stretch = (self.stretch(features).float() + self.identity).unflatten(-1, (2, 2))
-            hidden = torch.relu_(self.code(features).unsqueeze(1) + self.pattern(seen))
-            hidden = torch.relu_(self.hidden(hidden))
+            hidden = rectify(self.code(features).unsqueeze(1) + self.pattern(seen))
+            hidden = rectify(self.hidden(hidden))
             residual = 2.0 * inverse_root * self.out(hidden).float()
         uv: Tensor = _DISK * (pattern @ stretch.mT + residual)
         return uv
@@ -152,8 +153,8 @@ class Surface(nn.Module):
         u, v = uv.unbind(-1)
         terms = torch.stack([u, v, u * u, u * v, v * v, height, *slope.unbind(-1)], dim=-1)
         with wide_products():
-            hidden = torch.relu_(self.terms(terms).add_(code.unsqueeze(1)))
-            out = self.out(torch.relu_(self.hidden(hidden))).float()
+            hidden = rectify(self.terms(terms).add_(code.unsqueeze(1)))
+            out = self.out(rectify(self.hidden(hidden))).float()
         displacement = height + lift.unsqueeze(1) + out[..., 0]
         up = torch.ones_like(displacement)
         normal = torch.stack([out[..., 1] - slope[..., 0], out[..., 2] - slope[..., 1], up], dim=-1)

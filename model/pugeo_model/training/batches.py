@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch.utils.data import Dataset
 
-from pugeo_model.geometry.frames import Frames, fit_frames, flip_frames
+from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import knn, nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.training.augment import Mix, draw
@@ -65,14 +65,10 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         mix: kinds of input.
         seed: of everything drawn.
         steps: length.
-        flips: how often an axis of a frame is turned over.
     """
 
-    def __init__(
-        self, shapes: list[Shape], mix: Mix, seed: int, steps: int, flips: float = 0.2
-    ) -> None:
+    def __init__(self, shapes: list[Shape], mix: Mix, seed: int, steps: int) -> None:
         self.shapes, self.mix, self.seed, self.steps = shapes, mix, seed, steps
-        self.flips = flips
 
     def __len__(self) -> int:
         return self.steps
@@ -97,16 +93,11 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         distance, neighbours = nearest(points)
         # The outermost points lack neighbours beyond the rim; only far rings ever see them.
         frames = fit_frames(points, neighbours, spacing(distance))
-        frames = self._flip(frames, rng)
         patch = cut(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
         truths, owners = self._truths(shape, tree, frames, core_count, seed, rng)
         near = patch.neighbours[:core_count, :12].astype(np.int64)
         typical = float(frames.spacing[:core_count].mean())
         return Sample(index, patch, truths, owners, near, noise / typical)
-
-    def _flip(self, frames: Frames, rng: np.random.Generator) -> Frames:
-        flips = rng.random((2, len(frames.spacing))) < self.flips
-        return flip_frames(frames, flips[0], flips[1])
 
     def _truths(
         self,

@@ -56,6 +56,9 @@ class Weights:
     noise: float = 3.0
 
 
+_SPOTS = 3  # of each chart, at which it is blended with others
+
+
 class JointLoss:
     """Loss of a batch.
 
@@ -127,7 +130,19 @@ class JointLoss:
             "confidence": (share * expected).sum(),
         }
         parts |= self._blended(
-            net, charts, samples, core, start, points, axes, spacing, cloud, trust, rng
+            net,
+            charts,
+            samples,
+            core,
+            start,
+            points,
+            axes,
+            spacing,
+            cloud,
+            trust,
+            truths,
+            owners,
+            rng,
         )
         total = (
             w.coverage * parts["coverage"]
@@ -153,20 +168,36 @@ class JointLoss:
         spacing: Tensor,
         cloud: Tensor,
         trust: Tensor,
+        truths: Tensor,
+        owners: Tensor,
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
-        """Charts judged where others put their samples: there they are blended when served."""
+        """Charts judged where others put their samples: there they are blended when served.
+
+        And where the surface is: what lies on it has to stay, also on a ridge, from which the
+        mean of the charts of both sides would pull it back.
+        """
         near = np.concatenate([s.near + b for s, b in zip(samples, start, strict=True)])
         ends = np.repeat(start + np.array(core), core)
         whole = torch.from_numpy(np.flatnonzero((near[:, :8] < ends[:, None]).all(axis=1)))
-        pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), 4)))
-        jitter = torch.from_numpy(rng.normal(size=(len(whole), 4, 3), scale=0.1).astype(np.float32))
+        pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), _SPOTS)))
+        jitter = torch.from_numpy(
+            rng.normal(size=(len(whole), _SPOTS, 3), scale=0.1).astype(np.float32)
+        )
         spots = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
         candidates = torch.cat([whole[:, None], torch.from_numpy(near)[whole, :8]], dim=1)
         apart = (spots[:, :, None] - points[candidates][:, None]).square().sum(-1)
         ranks = apart.topk(BLENDED, dim=-1, largest=False).indices
-        chosen = candidates.unsqueeze(1).expand(-1, 4, -1).gather(2, ranks).reshape(-1, BLENDED)
-        spots = spots.reshape(-1, 3)
+        chosen = candidates.unsqueeze(1).expand(-1, _SPOTS, -1).gather(2, ranks)
+        held = torch.from_numpy(rng.permutation(len(truths))[: len(whole)])
+        spots = torch.cat([spots.reshape(-1, 3), truths[held]])
+        chosen = torch.cat([chosen.reshape(-1, BLENDED), owners[held, :BLENDED]])
+        owner = torch.cat([whole.repeat_interleave(_SPOTS), owners[held, 0]])
+        # Patch by patch, as their meshes are asked.
+        part = torch.from_numpy(np.searchsorted(start, owner.numpy(), side="right"))
+        order = torch.argsort(part, stable=True)
+        spots, chosen, owner = spots[order], chosen[order], owner[order]
+        stays = (order >= len(order) - len(held)).unsqueeze(1)
         flat = chosen.flatten()
         picked = Charts(charts.T[flat], charts.code[flat], charts.lift[flat], charts.quadric[flat])
         offsets = spots[:, None] - points[chosen]
@@ -174,13 +205,12 @@ class JointLoss:
             net.surface, picked, offsets, axes[chosen], spacing[chosen]
         )
         landed = spots + step
-        owner = whole.repeat_interleave(4)
         patch = np.searchsorted(start, owner.numpy(), side="right") - 1
         counts = np.bincount(patch, minlength=len(samples)).tolist()
         foot, true_normal = self._project(samples, counts, landed.detach())
         scale = spacing[owner]
         share = trust[owner] / trust[owner].sum()
-        miss = _length(landed - foot) / scale
+        miss = _length(landed - torch.where(stays, spots, foot)) / scale
         turn = _unoriented(normal, true_normal)
         # One chart alone is judged against the foot's plane: near enough, and a search less.
         alone = spots[:, None] + steps - foot[:, None]

@@ -156,7 +156,7 @@ class Trainer:
             return {}
         loss = JointLoss(self.validation, self.recipe.weights)
         clean = Mix(noisy=0, random=0, ramp=0, cut=0, lines=0)
-        batches = Batches(self.validation, clean, seed=1, steps=steps, flips=0.0)
+        batches = Batches(self.validation, clean, seed=1, steps=steps)
         sums: dict[str, float] = {}
         self.net.eval()
         with torch.no_grad():

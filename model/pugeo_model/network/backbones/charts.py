@@ -11,11 +11,12 @@ from torch.nn import functional
 
 from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
 from pugeo_model.network.neighbourhoods import Neighbourhoods, Round
-from pugeo_model.network.pooling import max_pool, mean_pool
+from pugeo_model.network.pooling import max_pool, mean_pool, rectify
 
 __all__ = ["ChartsBackbone"]
 
 _SCALES = (8, 16, 32)
+_STEPS = [8, 8, 16]  # from each scale to the next
 
 
 class Recalibration(nn.Module):
@@ -52,17 +53,16 @@ class Neighbours(nn.Module):
 
     def forward(self, edges: Tensor, scalars: Tensor) -> Tensor:
         """``(k, n, 5)``, ``(n, 9)`` -> ``(n, out)``."""
-        each = torch.relu_(self.second(torch.relu_(self.first(edges))))
+        each = rectify(self.second(rectify(self.first(edges))))
         # Neighbours come sorted by distance: the max over the first 16 grows from that over 8.
         pools: list[Tensor] = []
-        start = 0
-        for stop in _SCALES:
-            pool = max_pool(each[start:stop])
+        # Split and not sliced: the gradients of slices are each written into zeros of full size.
+        for part in each.split(_STEPS):
+            pool = max_pool(part)
             pools.append(pool if not pools else torch.maximum(pool, pools[-1]))
-            start = stop
         pools.append(mean_pool(each))
         hierarchy = self.recalibration(torch.cat(pools, dim=-1))
-        return torch.relu_(self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], -1)))
+        return rectify(self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], -1)))
 
 
 class Messages(nn.Module):
@@ -97,10 +97,10 @@ class Messages(nn.Module):
         own = features.index_select(0, turn.rows)
         sent = self.sender(features).index_select(0, turn.sources.flatten())
         sent = sent.unflatten(0, tuple(turn.sources.shape))
-        each = torch.relu_(self.pose(turn.pose).add_(sent).add_(self.receiver(own)))
-        each = torch.relu_(self.second(each))
+        each = rectify(self.pose(turn.pose).add_(sent).add_(self.receiver(own)))
+        each = rectify(self.second(each))
         pooled = torch.cat([own, max_pool(each), mean_pool(each)], dim=-1)
-        updated: Tensor = self.norm(own + torch.relu_(self.out(pooled)))
+        updated: Tensor = self.norm(own + rectify(self.out(pooled)))
         return updated if self.own is None else updated + self.own(updated)
 
 
@@ -132,4 +132,4 @@ class ChartsBackbone(nn.Module):
             latest = layer(levels[-1], turn)
             levels = [*levels[:-1], levels[-1].index_select(0, turn.rows), latest]
         hierarchy = self.recalibration(torch.cat(levels, dim=-1))
-        return torch.relu_(self.out(hierarchy))
+        return rectify(self.out(hierarchy))
