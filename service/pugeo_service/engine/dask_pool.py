@@ -71,6 +71,11 @@ class DaskPool:
         """Workers known to the scheduler; their preload warmed them before it knew them."""
         return len(self._workers)
 
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names or addresses of the workers."""
+        return tuple(sorted(self._workers))
+
     async def start(self) -> None:
         """Start the cluster or reach it; returns once a worker is warm."""
         dask.config.set(_CONFIG)
@@ -121,6 +126,7 @@ class DaskPool:
         seconds: float,
         long: bool,
         patches: int = 0,
+        place: str | None = None,
     ) -> Any:
         """Queue ``stage(*args)``."""
         # Dask guesses how long a task takes from others whose key begins alike.
@@ -128,7 +134,16 @@ class DaskPool:
         key = f"{prefix}-{patches}-{self._name}-{secrets.token_hex(12)}"
         try:
             return self._connected.submit(
-                run_stage, stage, seconds, *args, key=key, pure=False, priority=priority
+                run_stage,
+                stage,
+                seconds,
+                *args,
+                key=key,
+                pure=False,
+                priority=priority,
+                workers=place,
+                # Nor does it wait for a worker that is gone, or long for one that is behind.
+                allow_other_workers=place is not None,
             )
         except ClosedClientError as error:
             raise EngineLost(str(error)) from error

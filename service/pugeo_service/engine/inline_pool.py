@@ -36,6 +36,11 @@ class InlinePool:
         """Threads, once the model is loaded."""
         return self._threads if self._warm else 0
 
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Threads have names, but share all that they hold."""
+        return tuple(str(number) for number in range(self.warm_workers))
+
     async def start(self) -> None:
         """Load and warm the model in this process."""
         await asyncio.get_running_loop().run_in_executor(self._executor, warm, self._model)
@@ -53,9 +58,10 @@ class InlinePool:
         seconds: float,
         long: bool,
         patches: int = 0,
+        place: str | None = None,
     ) -> "Future[Any]":
         """Queue ``stage(*args)``, first come first served."""
-        del priority, seconds, long, patches  # threads can be neither ranked nor ended nor lost
+        del priority, seconds, long, patches, place  # threads cannot be ranked, ended, lost
         run = getattr(stages, stage)
         return self._executor.submit(lambda: run(*(_resolved(arg) for arg in args)))
 

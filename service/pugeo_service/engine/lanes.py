@@ -3,15 +3,15 @@
 
 Shortest first would let large clouds wait as long as small ones keep coming; first come first
 served would let small ones wait for large ones. So among small ones a patch more counts as seconds
-of coming later, which nobody can lose to without end. And each kind has workers to count on: large
-clouds share all but one (each of their turns is one task), small ones have that one and whatever
-large clouds leave. As many large clouds begin as there are workers; the others wait on disk and
-hold no memory.
+of coming later, which nobody can lose to without end. And each kind has workers to count on:
+while there are small clouds, large ones share all workers but one (each of their turns is one
+task), small ones have that one and whatever large clouds leave. As many large clouds begin as
+there are workers; the others wait on disk and hold no memory.
 """
 
 import asyncio
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from types import TracebackType
 
 __all__ = ["LARGE_PATCHES", "Lanes", "Line"]
@@ -77,6 +77,9 @@ class Lanes:
     Attributes:
         entrance: large requests that have begun.
         turns: tasks of large clouds that go before everything else.
+        requests: that are under way.
+        small: those of them to which large clouds leave a worker.
+        load: parts of stages that each worker has to do.
     """
 
     FIRST = _LANE
@@ -84,7 +87,27 @@ class Lanes:
 
     def __init__(self, workers: Callable[[], int]) -> None:
         self.entrance = Line(workers)
-        self.turns = Line(lambda: workers() - 1)
+        self.turns = Line(lambda: workers() - bool(self.small))
+        self.requests: set[object] = set()
+        self.small: set[object] = set()
+        self.load: Counter[str | None] = Counter()
+
+    def stand(self, who: object, patches: int, *, background: bool) -> None:
+        """Say that a request is under way, and how large it is as far as is known."""
+        self.requests.add(who)
+        if patches < LARGE_PATCHES and not background:
+            self.small.add(who)
+        else:
+            self.small.discard(who)
+
+    def leave(self, who: object) -> None:
+        """Say that a request is over."""
+        self.requests.discard(who)
+        self.small.discard(who)
+
+    def emptiest(self, places: Sequence[str]) -> str | None:
+        """Return the worker with the fewest parts to do; ``None`` if there is none."""
+        return min(places, key=lambda place: self.load[place], default=None)
 
     @staticmethod
     def priority(came: float, patches: int, *, background: bool) -> float:

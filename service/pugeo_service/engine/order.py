@@ -32,6 +32,7 @@ class Order:
         batch_patches: bound on the patches of one task.
         deadline_s: seconds the whole may take.
         background: whoever waits for an answer goes first.
+        at_once_patches: a cloud of so many patches is done in one task.
     """
 
     model: str
@@ -43,6 +44,7 @@ class Order:
     batch_patches: int
     deadline_s: float
     background: bool = False
+    at_once_patches: int = 1
 
     @staticmethod
     def estimate(size: int, format: str | None) -> int:

@@ -14,11 +14,13 @@ Stage = Literal[
     "prepare_tile",
     "cut_patches",
     "predict",
+    "predict_part",
     "propose",
     "merge",
     "describe_merged",
     "cut_landings",
     "land",
+    "land_part",
     "finish",
     "finish_tile",
     "describe_finished",
@@ -47,6 +49,10 @@ class Pool(Protocol):
         """Workers that could run a task now."""
 
     @property
+    def places(self) -> tuple[str, ...]:
+        """Their names, for ``submit``."""
+
+    @property
     def lost_workers(self) -> int:
         """Workers that ended without being told to, since the start."""
 
@@ -62,6 +68,7 @@ class Pool(Protocol):
         seconds: float,
         long: bool,
         patches: int = 0,
+        place: str | None = None,
     ) -> Any:
         """Queue ``stage(*args)`` and return a handle of its result, which stays on a worker.
 
@@ -72,6 +79,7 @@ class Pool(Protocol):
             seconds: a worker that takes longer is ended.
             long: the stage takes seconds and not milliseconds, as the pool could not know.
             patches: how many patches the task runs through the network.
+            place: the worker to run it as long as there is one of that name; any if ``None``.
         """
 
     async def wait(self, handle: Any) -> None:

@@ -50,17 +50,17 @@ __all__ = [
     "finish",
     "finish_tile",
     "land",
+    "land_part",
     "load_model",
     "merge",
     "predict",
+    "predict_part",
     "prepare",
     "prepare_tile",
     "propose",
     "sides",
     "write_tile",
 ]
-
-_AT_ONCE_PATCHES = 1
 
 
 @functools.lru_cache(maxsize=2)
@@ -86,7 +86,7 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     seconds = {"read": read - start, "prepare": time.perf_counter() - read}
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, order.answer)
     prepared = Prepared(plan, job, seconds, by_rows)
-    if job is not None and len(job.patches) <= _AT_ONCE_PATCHES:
+    if job is not None and len(job.patches) <= order.at_once_patches:
         return _at_once(prepared, order)
     return prepared
 
@@ -146,6 +146,11 @@ def predict(part: Cut, model: str) -> Charted:
     return Charted(charts, time.perf_counter() - start)
 
 
+def predict_part(prepared: Prepared, start: int, stop: int, model: str) -> Charted:
+    """Run patches through the network where they are."""
+    return predict(cut_patches(prepared, start, stop), model)
+
+
 def propose(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
     """Gather the candidates of all charts; ``batches`` are in the order of the patches."""
     start = time.perf_counter()
@@ -181,6 +186,11 @@ def land(landings: Sequence[Any], model: str) -> list[Any]:
     """Put points on the surface through the network's heads."""
     network = load_model(model)
     return [pipeline.land(network, landing) for landing in landings]
+
+
+def land_part(merged: Merged, start: int, stop: int, model: str) -> list[Any]:
+    """Put points on the surface where their landings are."""
+    return land(cut_landings(merged, start, stop), model)
 
 
 def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:

@@ -2,6 +2,7 @@
 """A request on its way: who goes first, what is told, and that nothing is left over."""
 
 import asyncio
+import contextlib
 import errno
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pugeo_service.engine import flow as module
+from pugeo_service.engine import dispatch as module
 from pugeo_service.engine.errors import DiskFailed, EngineLost
 from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
@@ -30,6 +31,7 @@ class Handle:
     args: tuple[Any, ...]
     priority: float
     long: bool
+    place: str | None
     live: bool = True
 
 
@@ -46,14 +48,14 @@ class Recorder:
     running: int = 0
     most_running: int = 0
     warm_workers = 2
+    places = ("one", "two")
     lost_workers = 0
     retried_patches = 0
 
     async def start(self) -> None:
-        """There is nothing to start."""
+        """There is nothing to start, or to stop."""
 
-    async def stop(self) -> None:
-        """There is nothing to stop."""
+    stop = start
 
     def submit(
         self,
@@ -63,10 +65,13 @@ class Recorder:
         seconds: float,
         long: bool,
         patches: int = 0,
+        place: str | None = None,
     ) -> Handle:
         assert 0 < seconds <= ORDER.deadline_s
-        assert patches == (args[0].args[2] - args[0].args[1] if stage == "predict" else 0)
-        self.handles.append(Handle(stage, args, priority, long))
+        spans = {"predict": lambda: args[0].args[1:3], "predict_part": lambda: args[1:3]}
+        start, stop = spans.get(stage, lambda: (0, 0))()
+        assert patches == stop - start
+        self.handles.append(Handle(stage, args, priority, long, place))
         return self.handles[-1]
 
     async def wait(self, handle: Handle) -> None:
@@ -183,7 +188,45 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert not any(handle.live for handle in pool.handles)
 
 
-@pytest.mark.parametrize("stage", ["predict", "prepare_tile", "agree", "write_tile"])
+def test_tiles_stay_on_their_workers(tmp_path: Path) -> None:
+    """Each worker has a tile of its own, whole; who has none left helps with the last one."""
+    pool = Recorder(9, seconds=lambda _: 0.001, tiles=3, by_rows=True)
+    run(pool, tmp_path)
+    jobs = pool.of("prepare_tile")
+    assert [job.place for job in jobs[:2]] == ["one", "two"]
+    for job in jobs[:2]:
+        parts = [part for part in pool.of("predict_part") if part.args[0] is job]
+        assert sorted(part.args[1:3] for part in parts) == [(0, 3), (3, 6), (6, 9)]
+        assert {part.place for part in parts} == {job.place}
+    helped = [part for part in pool.of("predict") if part.args[0].args[0] is jobs[2]]
+    assert {part.place for part in helped} == {"one", "two"}
+
+
+def test_parts_go_where_least_is_to_do(tmp_path: Path) -> None:
+    """Left alone, Dask would run all of them where the cloud was prepared."""
+    pool, lanes = Recorder(7, seconds=lambda _: 0.001), Lanes(lambda: 2)
+    lanes.load["one"] = 2
+    run(pool, tmp_path, lanes=lanes)
+    assert [part.place for part in pool.of("predict")] == ["two", "two", "one", "two"]
+    assert lanes.load == {"one": 2, "two": 0}
+
+
+def test_nothing_is_spread_when_each_worker_has_a_request(tmp_path: Path) -> None:
+    """A small cloud is then one task; a job, whose tasks others overtake, stays in parts."""
+    lanes = Lanes(lambda: 2)
+    asked: list[int] = []
+    for others in (0, 1):
+        for order in (ORDER, replace(ORDER, background=True)):
+            pool = Recorder(2)
+            run(pool, tmp_path, order=order, lanes=lanes)
+            asked.append(pool.of("prepare")[0].args[1].at_once_patches)
+            # Two patches for two workers are two batches, though one could hold both.
+            assert len(pool.of("predict")) == 2
+        lanes.stand(others, 1, background=False)
+    assert asked == [1, 1, LARGE_PATCHES - 1, 1]
+
+
+@pytest.mark.parametrize("stage", ["predict_part", "prepare_tile", "agree", "write_tile"])
 def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
     """Its error is the cloud's, and the other tiles are given back."""
     pool = Recorder(9, fails=stage, tiles=5, by_rows=True)
@@ -222,23 +265,17 @@ def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
     assert pool.most_running == 5
 
 
-def test_small_requests_use_all_workers(tmp_path: Path) -> None:
-    """Two patches for two workers are two batches, though one could hold both."""
-    pool = Recorder(2)
-    run(pool, tmp_path)
-    assert len(pool.of("predict")) == 2
-
-
 def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
     """With all their tasks, before the batches of large ones that have no turn."""
-    lanes = Lanes(lambda: 2)
     large, small = Recorder(20), Recorder(2)
     for pool in (large, small):
-        run(pool, tmp_path, lanes=lanes)
+        run(pool, tmp_path)
     tasks = ("predict", "land", "propose", "merge", "finish")
     ranks = {handle.priority for stage in tasks for handle in small.of(stage)}
     assert len(ranks) == 1
     assert min(ranks) > min(handle.priority for handle in large.of("predict"))
+    # Dask could not tell them from those of large clouds.
+    assert not any(handle.long for handle in small.handles)
 
 
 def test_large_requests_have_turns(tmp_path: Path) -> None:
@@ -252,13 +289,6 @@ def test_large_requests_have_turns(tmp_path: Path) -> None:
     for stage in ("predict", "land"):
         assert {handle.priority == Lanes.FIRST for handle in pool.of(stage)} == {True, False}
     assert lanes.turns.inside == lanes.entrance.inside == 0
-
-
-def test_small_stages_are_not_long(tmp_path: Path) -> None:
-    """Dask could not tell them from those of large clouds."""
-    pool = Recorder(LARGE_PATCHES - 1)
-    run(pool, tmp_path)
-    assert not any(handle.long for handle in pool.handles)
 
 
 def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> None:
@@ -283,16 +313,8 @@ def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> No
 
     async def all_of_them() -> None:
         large = LARGE_PATCHES * 2048 * 12
-        tasks = [
-            asyncio.create_task(one(name, size, patches))
-            for name, size, patches in (
-                ("large", large, 9),
-                ("text", large, 3),
-                ("next", large, 9),
-                ("small", 10, 1),
-            )
-        ]
-        await asyncio.gather(*tasks)
+        bodies = ("large", large, 9), ("text", large, 3), ("next", large, 9), ("small", 10, 1)
+        await asyncio.gather(*(one(*body) for body in bodies))
 
     asyncio.run(all_of_them())
     assert begun[:3] == ["large", "small", "small ended"]
@@ -332,13 +354,10 @@ def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.M
 
 def test_progress_is_told(tmp_path: Path) -> None:
     """First how many patches there are, then each batch."""
-    told: list[tuple[str, int]] = []
-    watcher = Watcher(
-        lambda count: told.append(("all", count)), lambda count: told.append(("done", count))
-    )
-    run(Recorder(5), tmp_path, watcher)
-    assert told[0] == ("all", 5)
-    assert sum(count for what, count in told if what == "done") == 5
+    told: list[int] = []
+    run(Recorder(5), tmp_path, Watcher(lambda count: told.append(-count), told.append))
+    assert told[0] == -5
+    assert sum(told[1:]) == 5
 
 
 def test_a_turn_that_fails_ends_the_request(tmp_path: Path) -> None:
@@ -360,10 +379,7 @@ def test_a_turn_that_fails_ends_the_request(tmp_path: Path) -> None:
 def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
     """After a success and after an error, every handle is given back."""
     pool = Recorder(9, fails=stage)
-    if stage:
-        with pytest.raises(KeyError, match=stage):
-            run(pool, tmp_path)
-    else:
+    with pytest.raises(KeyError, match=stage) if stage else contextlib.nullcontext():
         run(pool, tmp_path)
     assert pool.running == 0
     assert not [handle for handle in pool.handles if handle.live]

@@ -109,3 +109,30 @@ def test_who_has_less_to_do_overtakes_for_a_while() -> None:
     five = Lanes.priority(100.0, 5, background=False)
     assert Lanes.priority(110.0, 1, background=False) > five
     assert Lanes.priority(115.0, 1, background=False) < five
+
+
+def test_a_worker_is_left_to_small_clouds_where_there_are_any() -> None:
+    """Large ones have all of them otherwise; jobs, which nobody waits for, do not count."""
+
+    async def main() -> None:
+        lanes = Lanes(lambda: 2)
+        lanes.stand("job", 1, background=True)
+        lanes.stand("cloud", 1, background=False)
+
+        async def inside() -> int:
+            async with asyncio.timeout(0.05), lanes.turns, lanes.turns:
+                return 2
+            return 1
+
+        with pytest.raises(TimeoutError):
+            await inside()
+        # It turned out to be large, or is done.
+        for over in (
+            lambda: lanes.stand("cloud", 8, background=False),
+            lambda: lanes.leave("cloud"),
+        ):
+            lanes.stand("cloud", 1, background=False)
+            over()
+            assert await inside() == 2
+
+    asyncio.run(main())

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the tasks of one request reach the workers: when, and on which of them.
+
+Left alone, Dask runs a task where the results are that it needs: all of a request would stay on one
+worker. Parts of a stage are therefore given a place each.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
+from pugeo_service.engine.order import Order
+from pugeo_service.engine.pool import Pool, Stage
+from pugeo_service.engine.spread import Haste, Spread
+
+__all__ = ["Dispatch", "Where"]
+
+Where = Callable[[], str | None]
+"""The worker that has what a task needs, where no other should do it."""
+
+# A cloud that others overtake, and that got nothing done for so long, is helped along.
+_PATIENCE_S = 2.0
+_BACKGROUND_PATIENCE_S = 5.0
+# Of a tile in one task: 0.2 s, which a small cloud waits at most, for a third of the tasks.
+_PART_PATCHES = 3
+
+
+class Dispatch:
+    """The tasks of a request.
+
+    Args:
+        pool: where they run.
+        order: what to do.
+        lanes: who goes first among all requests of the engine.
+    """
+
+    def __init__(self, pool: Pool, order: Order, lanes: Lanes) -> None:
+        self._pool = pool
+        self._order = order
+        self._lanes = lanes
+        self._came = time.monotonic()
+        self._ends = self._came + order.deadline_s
+        self._handles: set[Any] = set()
+        self._places: dict[Any, str | None] = {}
+
+    def submit(
+        self,
+        stage: Stage,
+        *args: Any,
+        priority: float = Lanes.FIRST,
+        long: bool = False,
+        patches: int = 0,
+        place: str | None = None,
+    ) -> Any:
+        """Queue a task; see ``Pool.submit``."""
+        left = self._ends - time.monotonic()
+        handle = self._pool.submit(
+            stage, *args, priority=priority, seconds=left, long=long, patches=patches, place=place
+        )
+        self._handles.add(handle)
+        return handle
+
+    async def fetch(self, handle: Any) -> Any:
+        """Wait for a result and bring it here."""
+        return await self._pool.fetch(handle)
+
+    def drop(self, handles: list[Any]) -> None:
+        """Let results go that nothing but tasks already submitted needs."""
+        self._pool.release(handles)
+        self._handles.difference_update(handles)
+
+    def cancel(self) -> None:
+        """Let all results go, and drop whatever has not begun yet."""
+        self._pool.cancel(self._handles)
+
+    async def step(
+        self, size: int, stage: Stage, describe: Stage, *args: Any, place: str | None = None
+    ) -> tuple[Any, Any]:
+        """Run a stage that one worker does alone.
+
+        Args:
+            size: patches of the cloud.
+            stage: its name.
+            describe: the stage that tells the front of its result.
+            args: of the stage.
+            place: where to run it; where most of ``args`` are if ``None``.
+
+        Returns:
+            The handle of its result, and the description.
+        """
+        if size >= LARGE_PATCHES:
+            async with self._lanes.turns:
+                return await self._ask(Lanes.FIRST, stage, describe, *args, long=True, place=place)
+        if not self._order.background:
+            return await self._ask(self._priority(size), stage, describe, *args)
+        try:
+            async with asyncio.timeout(_BACKGROUND_PATIENCE_S):
+                return await self._ask(self._priority(size), stage, describe, *args)
+        except TimeoutError:
+            # It takes no second once it runs, so it did not.
+            return await self._ask(Lanes.FIRST, stage, describe, *args)
+
+    async def spread(
+        self,
+        patches: int,
+        total: int,
+        cut: Stage,
+        stage: Stage,
+        source: Any,
+        where: Where = lambda: None,
+        on_done: Callable[[int], object] = lambda _: None,
+    ) -> list[Any]:
+        """Run a stage in parts.
+
+        Args:
+            patches: of the cloud.
+            total: units of ``source``.
+            cut: the stage that takes some of them.
+            stage: the stage that runs them.
+            source: handle.
+            where: asked for each part: the worker that has ``source``, if it is to stay there.
+            on_done: is told how many units more are done.
+
+        Returns:
+            The handles of the parts' results, in order.
+        """
+
+        def submit(start: int, stop: int, priority: float) -> Any:
+            # Only the first pass counts as a patch; landing works on the points that it placed.
+            count = stop - start if stage == "predict" else 0
+            model = self._order.model
+            place = where()
+            if place is not None:
+                whole: Stage = "predict_part" if stage == "predict" else "land_part"
+                span = (source, start, stop, model)
+                result = self.submit(whole, *span, priority=priority, patches=count, place=place)
+            else:
+                place = self._lanes.emptiest(self._pool.places)
+                part = self.submit(cut, source, start, stop, priority=priority)
+                result = self.submit(
+                    stage, part, model, priority=priority, patches=count, place=place
+                )
+                self.drop([part])
+            self._lanes.load[place] += 1
+            self._places[result] = place
+            return result
+
+        workers = max(1, self._pool.warm_workers)
+        most = self._order.batch_patches
+        if where() is not None:
+            most = max(most, _PART_PATCHES)
+        haste = None
+        if self._order.background:
+            haste = Haste(self._lanes.turns, _BACKGROUND_PATIENCE_S, eager=False)
+        elif patches >= LARGE_PATCHES:
+            haste = Haste(self._lanes.turns, _PATIENCE_S, eager=True)
+        spread = Spread(
+            total,
+            max(1, min(most, -(-total // workers))),
+            submit=submit,
+            wait=self._wait,
+            drop=self.drop,
+            on_done=on_done,
+        )
+        return await spread.run(2 * workers, self._priority(patches), haste)
+
+    async def _wait(self, handle: Any) -> None:
+        try:
+            await self._pool.wait(handle)
+        finally:
+            self._lanes.load[self._places.pop(handle)] -= 1
+
+    async def _ask(
+        self,
+        priority: float,
+        stage: Stage,
+        describe: Stage,
+        *args: Any,
+        long: bool = False,
+        place: str | None = None,
+    ) -> tuple[Any, Any]:
+        handle = self.submit(stage, *args, priority=priority, long=long, place=place)
+        # Queued right away: a question asked later would cost another round trip.
+        described = self.submit(describe, handle)
+        try:
+            value = await self._pool.fetch(described)
+        except asyncio.CancelledError:
+            self.drop([handle])
+            raise
+        finally:
+            self.drop([described])
+        return handle, value
+
+    def _priority(self, patches: int) -> float:
+        return Lanes.priority(self._came, patches, background=self._order.background)
