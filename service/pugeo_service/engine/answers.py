@@ -14,7 +14,7 @@ import numpy as np
 
 from pugeo_model import formats, pipeline
 from pugeo_service.engine.order import Sheet
-from pugeo_service.engine.values import Agreed, Finished, Prepared, Written
+from pugeo_service.engine.values import Agreed, Carried, Finished, Prepared, Written
 
 __all__ = [
     "agree",
@@ -36,16 +36,16 @@ def describe_finished(finished: Finished) -> float:
     return finished.seconds
 
 
-def sides(finished: Finished) -> Any:
+def sides(finished: Finished) -> Carried:
     """Return what a tile says of the signs of its normals: little, so that only it travels."""
-    return finished.piece.sides
+    return Carried(finished.piece.sides)
 
 
-def agree(prepared: Prepared, known: Sequence[Any], answer: str) -> Agreed:
+def agree(prepared: Prepared, known: Sequence[Carried], answer: str) -> Agreed:
     """Let the tiles agree on signs; ``known`` is what each of them says."""
     start = time.perf_counter()
     plan = prepared.plan
-    signs = pipeline.agree(known)
+    signs = pipeline.agree([said.value for said in known])
     seconds = time.perf_counter() - start
     return Agreed(signs, plan.n_out, answer, plan.told(plan.noise), seconds)
 

@@ -8,7 +8,7 @@ worker. Parts of a stage are therefore given a place each.
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
 from pugeo_service.engine.order import Order
@@ -23,7 +23,8 @@ Where = Callable[[], str | None]
 # A cloud that others overtake, and that got nothing done for so long, is helped along.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# Of a tile in one task: 0.2 s, which a small cloud waits at most, for a third of the tasks.
+# In one task, of what stays where it is: 0.2 s, which a small cloud waits at most, for a third of
+# the tasks.
 _PART_PATCHES = 3
 
 
@@ -75,6 +76,11 @@ class Dispatch:
         """Let all results go, and drop whatever has not begun yet."""
         self._pool.cancel(self._handles)
 
+    @property
+    def everyone_is_busy(self) -> bool:
+        """Whether each worker has a request: spreading one over all of them gains nothing then."""
+        return len(self._lanes.requests) >= self._pool.warm_workers
+
     async def step(
         self, size: int, stage: Stage, describe: Stage, *args: Any, place: str | None = None
     ) -> tuple[Any, Any]:
@@ -106,8 +112,7 @@ class Dispatch:
         self,
         patches: int,
         total: int,
-        cut: Stage,
-        stage: Stage,
+        stage: Literal["predict_part", "land_part"],
         source: Any,
         where: Where = lambda: None,
         on_done: Callable[[int], object] = lambda _: None,
@@ -117,40 +122,41 @@ class Dispatch:
         Args:
             patches: of the cloud.
             total: units of ``source``.
-            cut: the stage that takes some of them.
-            stage: the stage that runs them.
+            stage: landing stays where its source is: it is less work than carrying it.
             source: handle.
-            where: asked for each part: the worker that has ``source``, if it is to stay there.
+            where: asked for each part: the worker that has ``source``, if all is to stay there.
             on_done: is told how many units more are done.
 
         Returns:
             The handles of the parts' results, in order.
         """
+        model = self._order.model
+
+        def carried() -> bool:
+            return stage == "predict_part" and where() is None and not self.everyone_is_busy
 
         def submit(start: int, stop: int, priority: float) -> Any:
-            # Only the first pass counts as a patch; landing works on the points that it placed.
-            count = stop - start if stage == "predict" else 0
-            model = self._order.model
             place = where()
-            if place is not None:
-                whole: Stage = "predict_part" if stage == "predict" else "land_part"
-                span = (source, start, stop, model)
-                result = self.submit(whole, *span, priority=priority, patches=count, place=place)
-            else:
+            # Only the first pass counts as a patch; landing works on the points that it placed.
+            count = stop - start if stage == "predict_part" else 0
+            if carried():
                 place = self._lanes.emptiest(self._pool.places)
-                part = self.submit(cut, source, start, stop, priority=priority)
+                part = self.submit("cut_patches", source, start, stop, priority=priority)
                 result = self.submit(
-                    stage, part, model, priority=priority, patches=count, place=place
+                    "predict", part, model, priority=priority, patches=count, place=place
                 )
                 self.drop([part])
+            else:
+                span = (source, start, stop, model)
+                result = self.submit(stage, *span, priority=priority, patches=count, place=place)
             self._lanes.load[place] += 1
             self._places[result] = place
             return result
 
         workers = max(1, self._pool.warm_workers)
-        most = self._order.batch_patches
-        if where() is not None:
-            most = max(most, _PART_PATCHES)
+        size = self._order.batch_patches
+        # Parts for all workers, where they are carried to them.
+        size = min(size, -(-total // workers)) if carried() else max(size, _PART_PATCHES)
         haste = None
         if self._order.background:
             haste = Haste(self._lanes.turns, _BACKGROUND_PATIENCE_S, eager=False)
@@ -158,7 +164,7 @@ class Dispatch:
             haste = Haste(self._lanes.turns, _PATIENCE_S, eager=True)
         spread = Spread(
             total,
-            max(1, min(most, -(-total // workers))),
+            max(1, size),
             submit=submit,
             wait=self._wait,
             drop=self.drop,

@@ -75,7 +75,8 @@ class Flow:
         self._watcher.on_stage("prepare")
         with disk():
             data = await body.read()
-        order = replace(order, at_once_patches=self._at_once_patches())
+        if self._tasks.everyone_is_busy and not order.background:
+            order = replace(order, at_once_patches=LARGE_PATCHES - 1)
         prepared, head = await self._tasks.step(size, "prepare", "describe_prepared", data, order)
         # The pool has its own copy, for as long as it may have to begin anew.
         del data
@@ -181,7 +182,7 @@ class Flow:
         self._watcher.on_stage("predict")
         began = time.perf_counter()
         charted = await self._tasks.spread(
-            size, size, "cut_patches", "predict", prepared, where, self._watcher.on_done
+            size, size, "predict_part", prepared, where, self._watcher.on_done
         )
         _add(seconds, {"predict": time.perf_counter() - began})
 
@@ -191,9 +192,7 @@ class Flow:
         )
         batches += ran
         began = time.perf_counter()
-        candidates = await self._tasks.spread(
-            size, landings, "cut_landings", "land", proposed, where
-        )
+        candidates = await self._tasks.spread(size, landings, "land_part", proposed, where)
         self._tasks.drop([proposed])
         _add(seconds, {"land": time.perf_counter() - began})
 
@@ -206,7 +205,7 @@ class Flow:
 
         self._watcher.on_stage("land")
         began = time.perf_counter()
-        landed = await self._tasks.spread(size, landings, "cut_landings", "land", merged, where)
+        landed = await self._tasks.spread(size, landings, "land_part", merged, where)
         _add(seconds, {"land": time.perf_counter() - began})
         self._tasks.drop([merged])
         return landed
@@ -248,11 +247,6 @@ class Flow:
         self._tasks.drop([agreed])
         seconds["collect"] = time.perf_counter() - began - waited
         return Outcome(spool, report, seconds, batches)
-
-    def _at_once_patches(self) -> int:
-        """Spreading a cloud over the workers gains nothing when each has one of its own."""
-        busy = len(self._lanes.requests) >= self._pool.warm_workers
-        return LARGE_PATCHES - 1 if busy and not self._order.background else 1
 
     async def _chunks(self, written: Any, sheet: Sheet) -> AsyncIterator[bytes]:
         """Bring bytes here, a chunk at a time: little is in memory whatever the size."""

@@ -18,8 +18,6 @@ Stage = Literal[
     "propose",
     "merge",
     "describe_merged",
-    "cut_landings",
-    "land",
     "land_part",
     "finish",
     "finish_tile",

@@ -32,14 +32,13 @@ from pugeo_service.engine.answers import (
     write_tile,
 )
 from pugeo_service.engine.order import Head, Order
-from pugeo_service.engine.values import Charted, Cut, Finished, Merged, Prepared, Written
+from pugeo_service.engine.values import Carried, Charted, Cut, Finished, Merged, Prepared, Written
 
 __all__ = [
     "agree",
     "assemble",
     "at_once",
     "chunk",
-    "cut_landings",
     "cut_patches",
     "cut_tile",
     "describe_agreed",
@@ -49,7 +48,6 @@ __all__ = [
     "describe_written",
     "finish",
     "finish_tile",
-    "land",
     "land_part",
     "load_model",
     "merge",
@@ -121,15 +119,15 @@ def describe_prepared(prepared: Prepared) -> Head:
     return Head(patches, tiles, prepared.seconds, prepared.by_rows, sheet, prepared.batches)
 
 
-def cut_tile(prepared: Prepared, number: int) -> Any:
+def cut_tile(prepared: Prepared, number: int) -> Carried:
     """Return a tile, so that only it travels to the worker that prepares it."""
-    return prepared.plan.tile(number)
+    return Carried(prepared.plan.tile(number))
 
 
-def prepare_tile(tile: Any) -> Prepared:
+def prepare_tile(tile: Carried) -> Prepared:
     """Cut a tile into patches."""
     start = time.perf_counter()
-    job = pipeline.prepare(tile)
+    job = pipeline.prepare(tile.value)
     return Prepared(None, job, {"prepare": time.perf_counter() - start})
 
 
@@ -177,11 +175,6 @@ def describe_merged(merged: Merged) -> tuple[int, float, list[tuple[float, int]]
     return len(merged.landings), merged.seconds, merged.batches
 
 
-def cut_landings(merged: Merged, start: int, stop: int) -> list[Any]:
-    """Return some landings, so that only they travel to the worker that runs them."""
-    return list(merged.landings[start:stop])
-
-
 def land(landings: Sequence[Any], model: str) -> list[Any]:
     """Put points on the surface through the network's heads."""
     network = load_model(model)
@@ -190,7 +183,7 @@ def land(landings: Sequence[Any], model: str) -> list[Any]:
 
 def land_part(merged: Merged, start: int, stop: int, model: str) -> list[Any]:
     """Put points on the surface where their landings are."""
-    return land(cut_landings(merged, start, stop), model)
+    return land(merged.landings[start:stop], model)
 
 
 def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:

@@ -11,7 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Agreed", "Charted", "Cut", "Finished", "Merged", "Prepared", "Written"]
+__all__ = ["Agreed", "Carried", "Charted", "Cut", "Finished", "Merged", "Prepared", "Written"]
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A value of the model's as the whole result of a stage.
+
+    Dask's client in the front looks up the type of each result: of the model's own it would import
+    the module, and scipy and numba with it.
+    """
+
+    value: Any
 
 
 @dataclass(frozen=True)
