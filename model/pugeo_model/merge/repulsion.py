@@ -21,6 +21,9 @@ def repel(
 ) -> NDArray[np.float64]:
     """Move samples apart within their tangent planes.
 
+    Samples across a crease push like all others: without them those along it were pushed over it,
+    and came down among those of the other side.
+
     Args:
         samples: ``(K, 3)``.
         normals: ``(K, 3)`` unit.
@@ -28,38 +31,11 @@ def repel(
         reach: ``(K,)`` distance of neighbours in the packing aimed at.
         rounds: how often.
     """
-    beside = np.empty_like(neighbours)
-    _beside(normals, neighbours, beside)
     now, after = samples.copy(), np.empty_like(samples)
     for _ in range(rounds):
-        _push(now, normals, beside, reach, after)
+        _push(now, normals, neighbours, reach, after)
         now, after = after, now
     return now
-
-
-@njit(cache=True, nogil=True)
-def _beside(normals, neighbours, beside):  # type: ignore[no-untyped-def]
-    """Neighbours on the same sheet of the surface, ``-1`` beyond the end of a list.
-
-    Both sides of a thin wall are near each other, but not neighbours on the surface.
-    """
-    count, k = neighbours.shape
-    for i in range(count):
-        filled = 0
-        for at in range(k):
-            j = neighbours[i, at]
-            if j < 0:
-                break
-            cosine = (
-                normals[i, 0] * normals[j, 0]
-                + normals[i, 1] * normals[j, 1]
-                + normals[i, 2] * normals[j, 2]
-            )
-            if cosine * cosine >= 0.25:
-                beside[i, filled] = j
-                filled += 1
-        for at in range(filled, k):
-            beside[i, at] = -1
 
 
 @njit(cache=True, nogil=True)
