@@ -35,13 +35,13 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.merge.atlas import (
     BLENDED,
-    SCREENED,
     Atlas,
     Landed,
     Landing,
     PatchCharts,
     bind,
     parcels,
+    screened,
 )
 from pugeo_model.merge.placement import place, shares
 from pugeo_model.normalise import normalise
@@ -169,7 +169,7 @@ def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
         atlas,
         np.concatenate([job.points, spots]),
         np.concatenate([rows, np.repeat(rows, job.candidates)]),
-        SCREENED,
+        screened(job.candidates),
     )
 
 

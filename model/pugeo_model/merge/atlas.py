@@ -16,13 +16,12 @@ from pugeo_model.geometry.frames import Frames
 from pugeo_model.merge.crowd import by_chart
 from pugeo_model.merge.placement import nearest_charts
 
-__all__ = ["BLENDED", "SCREENED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels"]
+__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels", "screened"]
 
 BLENDED = 3
 """Charts that every point lands on."""
 
-SCREENED = 2
-"""Charts that a candidate lands on: a third would move what survives, and that lands again."""
+_MANY = 12  # candidates a chart, of 8 points and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +119,15 @@ def bind(charts: Sequence[PatchCharts]) -> Atlas:
         np.concatenate([part.code for part in charts])[back],
         np.concatenate([part.lift for part in charts])[back],
     )
+
+
+def screened(candidates: int) -> int:
+    """Charts that a candidate lands on: one more would move what survives, and that lands again.
+
+    Args:
+        candidates: of each chart. Where they are many, those between charts matter less.
+    """
+    return 2 if candidates < _MANY else 1
 
 
 def parcels(

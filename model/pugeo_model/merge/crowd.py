@@ -144,6 +144,7 @@ def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-
     places = np.empty((3, room), dtype=np.float32)
     xs, ys, zs = places[0], places[1], places[2]
     rows = np.empty(room, dtype=np.int32)
+    close = np.empty(room + _WORD, dtype=np.int32)
     # One flag a sample; eight of them are one word, and most words are zero.
     words = np.zeros(room // _WORD, dtype=np.uint64)
     within = words.view(np.uint8)
@@ -163,8 +164,10 @@ def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-
             for word in range(count // _WORD + 1):
                 if words[word] == 0:
                     continue
+                # Written without a branch, which would be guessed wrong for every other one.
                 for at in range(word * _WORD, word * _WORD + _WORD):
-                    if within[at] and filled < most:
-                        found[i, filled] = rows[at]
-                        filled += 1
+                    close[filled] = rows[at]
+                    filled += within[at]
+            filled = min(filled, most)
+            found[i, :filled] = close[:filled]
             found[i, filled:] = -1

@@ -29,7 +29,7 @@ class Architecture:
 
     backbone: str = "charts"
     features: int = 256
-    options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64), ("expansion", 2))
+    options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64), ("expansion", 4))
     head: int = 128
 
     def to_json(self) -> dict[str, Any]:
