@@ -75,6 +75,9 @@ class Dispatch:
     def cancel(self) -> None:
         """Let all results go, and drop whatever has not begun yet."""
         self._pool.cancel(self._handles)
+        # Of parts nobody had begun to wait for, too.
+        for handle in list(self._places):
+            self._over(handle)
 
     @property
     def everyone_is_busy(self) -> bool:
@@ -176,6 +179,10 @@ class Dispatch:
         try:
             await self._pool.wait(handle)
         finally:
+            self._over(handle)
+
+    def _over(self, handle: Any) -> None:
+        if handle in self._places:
             self._lanes.load[self._places.pop(handle)] -= 1
 
     async def _ask(

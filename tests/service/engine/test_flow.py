@@ -183,8 +183,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert [handle.args[0].args[0].args[0].args[1] for handle in written] == list(range(5))
     assert all(handle.args[1] is agreed for handle in written)
     assert outcome.report == {"points_in": 1}
-    assert outcome.seconds["finish"] == 7.0
-    assert outcome.seconds["write"] == 0.0
+    assert (outcome.seconds["finish"], outcome.seconds["write"]) == (7.0, 0.0)
     assert not any(handle.live for handle in pool.handles)
 
 
@@ -360,19 +359,20 @@ def test_progress_is_told(tmp_path: Path) -> None:
     assert sum(told[1:]) == 5
 
 
-def test_a_turn_that_fails_ends_the_request(tmp_path: Path) -> None:
-    """Where a part cannot even be queued, nobody waits for it."""
+@pytest.mark.parametrize("queued", [1, 4])
+def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int) -> None:
+    """One of the first, whose forerunner nobody waits for yet, or one that has a turn."""
 
     class Broken(Recorder):
-        def submit(self, stage: str, *args: Any, priority: float, **more: Any) -> Handle:
-            if stage == "cut_patches" and priority == Lanes.FIRST:
+        def submit(self, stage: str, *args: Any, **more: Any) -> Handle:
+            if stage == "cut_patches" and len(self.of(stage)) == queued:
                 raise EngineLost("gone")
-            return super().submit(stage, *args, priority=priority, **more)
+            return super().submit(stage, *args, **more)
 
-    pool = Broken(40, seconds=lambda _: 0.001)
+    pool, lanes = Broken(40, seconds=lambda _: 0.001), Lanes(lambda: 2)
     with pytest.raises(EngineLost):
-        run(pool, tmp_path)
-    assert not any(handle.live for handle in pool.handles)
+        run(pool, tmp_path, lanes=lanes)
+    assert not any([*lanes.load.values(), *(handle.live for handle in pool.handles)])
 
 
 @pytest.mark.parametrize("stage", ["", "predict", "land_part"])
