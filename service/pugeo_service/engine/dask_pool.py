@@ -11,6 +11,7 @@ from typing import Any
 import dask
 import distributed
 import structlog
+from distributed import scheduler
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
@@ -38,6 +39,8 @@ _CONFIG = {
     # No side doors: the ports that Dask insists on opening answer nothing.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    # Each connection would keep its last 1,000 messages below a megabyte, bodies and all.
+    "distributed.admin.low-level-log-length": 10,
     # Nothing that this process does not show to anybody needs a statistical profile.
     "distributed.worker.profile.enabled": False,
 }
@@ -49,6 +52,18 @@ _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
 _SILENCE_S = 10.0
 _RISE_S = 30.0
+
+
+class _NoSpans:
+    """In the place of Dask's record of all work, to which each request adds and nothing is lost."""
+
+    def __init__(self, _scheduler: object) -> None: ...
+
+    def __bool__(self) -> bool:
+        return False
+
+    def heartbeat(self, *_: object) -> None:
+        """Workers report all the same."""
 
 
 class DaskPool:
@@ -92,7 +107,10 @@ class DaskPool:
                 asynchronous=True,
                 security=security,
                 dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": False},
+                scheduler_kwargs={
+                    "dashboard": False,
+                    "extensions": {**scheduler.DEFAULT_EXTENSIONS, "spans": _NoSpans},
+                },
                 local_directory=str(settings.spool_dir),
                 env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
             )

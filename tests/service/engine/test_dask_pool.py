@@ -2,6 +2,7 @@
 """What the engine relies on in Dask, with real processes and without the model."""
 
 import asyncio
+import gc
 import importlib
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from distributed.batched import BatchedSend
+from distributed.spans import Span
 
 from pugeo_model.errors import MalformedFile
 from pugeo_service.engine import dask_pool
@@ -148,6 +151,23 @@ def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
         assert await pool.fetch(submit(pool, "add", 1, 1)) == 2
 
     play(scenario, workers=1)
+
+
+def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
+    """Left alone, Dask keeps a record of every request, and bodies in logs of sent messages."""
+
+    async def scenario(pool: DaskPool) -> None:
+        for number in range(30):
+            handle = submit(pool, "add", number, np.zeros(1000))
+            await pool.fetch(handle)
+            pool.release([handle])
+        gc.collect()
+        kept = gc.get_objects()
+        logs = [len(each.recent_message_log) for each in kept if isinstance(each, BatchedSend)]
+        assert 0 < max(logs) <= 10
+        assert not [each for each in kept if isinstance(each, Span)]
+
+    play(scenario)
 
 
 def test_priority_decides(play: Play, tmp_path: Path) -> None:
