@@ -19,9 +19,9 @@ _CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample,
 _PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
 _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
-_USUAL = 2.5  # times the error usual around it that a candidate may be off without burden
+_USUAL = 2.2  # times the error usual around it that a candidate may be off without burden
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
-_ROUNDS = 5
+_ROUNDS = 3
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
