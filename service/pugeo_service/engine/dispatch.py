@@ -44,7 +44,7 @@ class Dispatch:
         self._came = time.monotonic()
         self._ends = self._came + order.deadline_s
         self._handles: set[Any] = set()
-        self._places: dict[Any, str | None] = {}
+        self._places: dict[Any, str] = {}
 
     def submit(
         self,
@@ -152,8 +152,9 @@ class Dispatch:
             else:
                 span = (source, start, stop, model)
                 result = self.submit(stage, *span, priority=priority, patches=count, place=place)
-            self._lanes.load[place] += 1
-            self._places[result] = place
+            if place is not None:
+                self._lanes.load[place] += 1
+                self._places[result] = place
             return result
 
         workers = max(1, self._pool.warm_workers)

@@ -79,7 +79,7 @@ class Lanes:
         turns: tasks of large clouds that go before everything else.
         requests: that are under way.
         small: those of them to which large clouds leave a worker.
-        load: parts of stages that each worker has to do.
+        load: parts of stages that each worker was given to do.
     """
 
     FIRST = _LANE
@@ -90,7 +90,7 @@ class Lanes:
         self.turns = Line(lambda: workers() - bool(self.small))
         self.requests: set[object] = set()
         self.small: set[object] = set()
-        self.load: Counter[str | None] = Counter()
+        self.load: Counter[str] = Counter()
 
     def stand(self, who: object, patches: int, *, background: bool) -> None:
         """Say that a request is under way, and how large it is as far as is known."""

@@ -27,7 +27,7 @@ def warm(model: str) -> None:
     """Load the model and send a small sphere all the way, so that no user waits for it."""
     prepared = stages.prepare(sample_body(), sample_order(model, deadline_s=0.0))
     total = stages.describe_prepared(prepared).patches
-    charted = [stages.predict(stages.cut_patches(prepared, i, i + 1), model) for i in range(total)]
+    charted = [stages.predict_part(prepared, i, i + 1, model) for i in range(total)]
     proposed = stages.propose(prepared, charted)
     merged = stages.merge(prepared, charted, [stages.land(proposed.landings, model)])
     stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
@@ -39,7 +39,8 @@ def dask_setup(worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Dask logs every exception with all arguments; the front logs those that are bugs.
     logging.getLogger("distributed.worker").setLevel(logging.ERROR)
-    # What computes lets what carries in ten times as soon: results of 1 MB took 50 ms to cross.
+    # What computes lets what carries in ten times as soon: 8 patches over two workers took 0.45 s
+    # in the median, and 0.39 s so.
     sys.setswitchinterval(_SWITCH_S)
     warm(os.environ.get("PUGEO_MODEL", "standard"))
     # What other clouds left between the results that live here would add up.

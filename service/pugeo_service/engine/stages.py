@@ -90,8 +90,8 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
 
 
 def _at_once(prepared: Prepared, order: Order) -> Prepared:
-    """Go all the way: for a cloud this small, passing it on would take longer than the work."""
-    charted = predict(cut_patches(prepared, 0, len(prepared.job.patches)), order.model)
+    """Go all the way: passing it on would take longer than the work, or gain nothing."""
+    charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
     proposed = propose(prepared, [charted])
     start = time.perf_counter()
     candidates = land(proposed.landings, order.model)

@@ -266,7 +266,7 @@ def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
 
 def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
     """With all their tasks, before the batches of large ones that have no turn."""
-    large, small = Recorder(20), Recorder(2)
+    large, small = Recorder(20), Recorder(LARGE_PATCHES - 1)
     for pool in (large, small):
         run(pool, tmp_path)
     tasks = ("predict", "land_part", "propose", "merge", "finish")
@@ -359,18 +359,18 @@ def test_progress_is_told(tmp_path: Path) -> None:
     assert sum(told[1:]) == 5
 
 
-@pytest.mark.parametrize("queued", [1, 4])
-def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int) -> None:
+@pytest.mark.parametrize(("queued", "turn"), [(1, False), (4, True)])
+def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -> None:
     """One of the first, whose forerunner nobody waits for yet, or one that has a turn."""
 
     class Broken(Recorder):
-        def submit(self, stage: str, *args: Any, **more: Any) -> Handle:
+        def submit(self, stage: str, *args: Any, priority: float, **more: Any) -> Handle:
             if stage == "cut_patches" and len(self.of(stage)) == queued:
-                raise EngineLost("gone")
-            return super().submit(stage, *args, **more)
+                raise EngineLost(f"turn: {priority == Lanes.FIRST}")
+            return super().submit(stage, *args, priority=priority, **more)
 
     pool, lanes = Broken(40, seconds=lambda _: 0.001), Lanes(lambda: 2)
-    with pytest.raises(EngineLost):
+    with pytest.raises(EngineLost, match=str(turn)):
         run(pool, tmp_path, lanes=lanes)
     assert not any([*lanes.load.values(), *(handle.live for handle in pool.handles)])
 

@@ -5,6 +5,8 @@ Sums and rectifications are done in place wherever no gradient needs what they o
 layers are bound by memory, not by arithmetic.
 """
 
+import itertools
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -16,7 +18,7 @@ from pugeo_model.network.pooling import max_pool, mean_pool, rectify
 __all__ = ["ChartsBackbone"]
 
 _SCALES = (8, 16, 32)
-_STEPS = [8, 8, 16]  # from each scale to the next
+_STEPS = [stop - start for start, stop in itertools.pairwise((0, *_SCALES))]
 
 
 class Recalibration(nn.Module):
