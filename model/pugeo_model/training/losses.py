@@ -29,6 +29,8 @@ from pugeo_model.training.corpus import Shape
 
 __all__ = ["JointLoss", "Weights"]
 
+_SPOTS = 3  # of each chart, at which it is blended with others
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -54,9 +56,6 @@ class Weights:
     blended: float = 3.0
     confidence: float = 0.05
     noise: float = 3.0
-
-
-_SPOTS = 3  # of each chart, at which it is blended with others
 
 
 class JointLoss:
@@ -194,8 +193,8 @@ class JointLoss:
         chosen = torch.cat([chosen.reshape(-1, BLENDED), owners[held, :BLENDED]])
         owner = torch.cat([whole.repeat_interleave(_SPOTS), owners[held, 0]])
         # Patch by patch, as their meshes are asked.
-        part = torch.from_numpy(np.searchsorted(start, owner.numpy(), side="right"))
-        order = torch.argsort(part, stable=True)
+        patch = torch.from_numpy(np.searchsorted(start, owner.numpy(), side="right") - 1)
+        order = torch.argsort(patch, stable=True)
         spots, chosen, owner = spots[order], chosen[order], owner[order]
         stays = (order >= len(order) - len(held)).unsqueeze(1)
         flat = chosen.flatten()
@@ -205,8 +204,7 @@ class JointLoss:
             net.surface, picked, offsets, axes[chosen], spacing[chosen]
         )
         landed = spots + step
-        patch = np.searchsorted(start, owner.numpy(), side="right") - 1
-        counts = np.bincount(patch, minlength=len(samples)).tolist()
+        counts = torch.bincount(patch, minlength=len(samples)).tolist()
         foot, true_normal = self._project(samples, counts, landed.detach())
         scale = spacing[owner]
         share = trust[owner] / trust[owner].sum()
