@@ -7,6 +7,8 @@ own reach, so a sparse region is thinned as evenly as a dense one. Ties go to th
 the result depends on the input alone.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 __all__ = ["eliminate", "reach_of_share"]
 
 _LIMIT, _LIMIT_POWER = 0.65, 1.5
+_NEARLY = 1.3  # times the survivors: so many are left when `level` is asked
 _DRAWER_BITS = 14  # of a float32 that do not matter for its drawer: 512 drawers an octave
 
 
@@ -30,6 +33,7 @@ def eliminate(
     keep: int,
     burden: NDArray[np.float64] | None = None,
     counted: NDArray[np.bool_] | None = None,
+    level: Callable[[NDArray[np.bool_]], NDArray[np.float64]] | None = None,
 ) -> NDArray[np.int64]:
     """Rows of the survivors, in ascending order.
 
@@ -42,6 +46,8 @@ def eliminate(
             would not do: an outlier has no neighbours, and its weight is next to nothing.
         counted: ``(C,)`` who is counted, ``None`` for all: the others, of a margin, are thinned
             alongside for as long as it takes.
+        level: asked once, near the end, with ``(C,)`` who is left: factors ``(C,)`` > 0 of all
+            weights from then on. Where they are large, more go.
     """
     counted = np.ones(len(points), dtype=np.bool_) if counted is None else counted
     there = int(np.count_nonzero(counted))
@@ -51,7 +57,15 @@ def eliminate(
     # Weight limiting (section 3.2 there): without it the closest pairs decide alone, and the
     # survivors' spacing varies by 11 % instead of 8 %.
     floor = _LIMIT * (1.0 - (keep / max(there, 1)) ** _LIMIT_POWER)
-    alive = _run(points, neighbours, reach, extra, counted, there - keep, floor)
+    key = extra.astype(np.float64)
+    lists = _weigh(points, neighbours, reach, floor, key)
+    alive, factor = np.ones(len(points), dtype=np.bool_), np.ones(len(points))
+    for left in (min(int(_NEARLY * keep), there), keep):
+        _thin(points, reach, counted, there - left, floor, key, *lists, alive, factor)
+        there = left
+        if level is not None and left > keep:
+            factor = level(alive)
+            key *= factor
     return np.flatnonzero(alive)
 
 
@@ -123,15 +137,17 @@ def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def _fill_drawers(key):  # type: ignore[no-untyped-def]
+def _fill_drawers(key, alive):  # type: ignore[no-untyped-def]
     """Linked lists of candidates: the first of each drawer, and the next after each candidate."""
     top = 0
     for i in range(len(key)):
-        top = max(top, _drawer(key[i]))
+        if alive[i]:
+            top = max(top, _drawer(key[i]))
     first = np.full(top + 1, -1, dtype=np.int32)
     after = np.empty(len(key), dtype=np.int32)
     for i in range(len(key) - 1, -1, -1):
-        _put(first, after, key, i)
+        if alive[i]:
+            _put(first, after, key, i)
     return first, after
 
 
@@ -161,19 +177,15 @@ def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: ignore[no-untyped-def]
+def _thin(points, reach, counted, surplus, floor, key, start, listed_by, alive, factor):  # type: ignore[no-untyped-def]
     """Remove the heaviest until there is no surplus.
 
     Keys only ever fall, so the heaviest are found drawer by drawer, and a candidate that has
     become lighter is put where it belongs only when it is met: one heap of all, kept in order at
     every change, takes twice as long.
     """
-    count = len(points)
-    key = burden.copy()
-    start, listed_by = _weigh(points, neighbours, reach, floor, key)
-    first, after = _fill_drawers(key)
-    keys, rows = np.empty(count), np.empty(count, dtype=np.int32)
-    alive = np.ones(count, dtype=np.bool_)
+    first, after = _fill_drawers(key, alive)
+    keys, rows = np.empty(len(points)), np.empty(len(points), dtype=np.int32)
     top, size = len(first), 0
     while surplus > 0:
         if size == 0:
@@ -197,5 +209,4 @@ def _run(points, neighbours, reach, burden, counted, surplus, floor):  # type: i
         for at in range(start[row], start[row + 1]):
             other = listed_by[at]
             if alive[other]:
-                key[other] -= _weight(points, reach, floor, other, row)
-    return alive
+                key[other] -= factor[other] * _weight(points, reach, floor, other, row)

@@ -9,7 +9,7 @@ from pugeo_model.merge.crowd import crowd
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 from pugeo_model.merge.repulsion import repel
 
-__all__ = ["nearest_charts", "place", "shares"]
+__all__ = ["even_out", "nearest_charts", "place", "shares"]
 
 _AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
 _NEAR_CHARTS = 12  # charts searched around a sample
@@ -21,19 +21,20 @@ _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bit
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
 _USUAL = 2.2  # times the error usual around it that a candidate may be off without burden
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
+_FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
 _ROUNDS = 3
+_WIDE = 8  # times that shares are averaged over 32 neighbours
+_LOCAL = 2  # times that the number left of each chart is
+_LEVELLING = 6  # power of the density to weigh by: 1 % more or less moves a weight as 12 would
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
     """Surface area that each input point stands for, ``(M,)``, unit scale.
 
-    Averaged over 32 neighbours, twice: the density of the input is followed, its accidents are
+    Averaged over neighbours far and wide: the density of the input is followed, its accidents are
     not.
     """
-    area = _AREA * spacing.astype(np.float64) ** 2
-    once = area[neighbours].mean(axis=1)
-    twice: NDArray[np.float64] = once[neighbours].mean(axis=1)
-    return twice
+    return _averaged(_AREA * spacing.astype(np.float64) ** 2, neighbours, _WIDE)
 
 
 def place(
@@ -84,10 +85,18 @@ def place(
         normals = np.concatenate([pinned[1], normals])
         burden = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), burden])
     lists = crowd(candidates, owner, near, reach[owner], _CROWD)
-    kept = eliminate(candidates, lists, reach[owner], wanted, burden, core[owner])
+
+    def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
+        left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
+        density = _averaged(left, neighbours, _LOCAL) / left[core].mean()
+        weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** _LEVELLING
+        return weight
+
+    kept = eliminate(candidates, lists, reach[owner], wanted, burden, core[owner], level)
     spots, owner = candidates[kept], owner[kept]
     first = int(np.searchsorted(kept, held))
-    lists = crowd(spots, owner, near, 1.4 * reach[owner], _SETTLED)
+    lists = crowd(spots, owner, near, _FAR * reach[owner], _SETTLED)
     push = reach[owner]
     push[:first] = 0.0  # pushes, and is not pushed
     spots = repel(spots, normals[kept], lists, push, _ROUNDS)
@@ -95,6 +104,48 @@ def place(
     stay = owner[:first][mine[:first]]
     mine[:first] = False
     return stay, spots[mine], owner[mine]
+
+
+@njit(cache=True, nogil=True)
+def _averaged(values, neighbours, times):  # type: ignore[no-untyped-def]
+    """Means over neighbours, of means over neighbours, and so on."""
+    now, after = values.copy(), np.empty_like(values)
+    for _ in range(times):
+        for i in range(len(neighbours)):
+            total = 0.0
+            for near in neighbours[i]:
+                total += now[near]
+            after[i] = total / neighbours.shape[1]
+        now, after = after, now
+    return now
+
+
+def even_out(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    owner: NDArray[np.int32],
+    share: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    core: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """One round of repulsion among points that have landed, ``(K, 3)``.
+
+    Charts of a noisy input disagree, so that landing moves what had settled. Points next to a
+    margin stay, since those beyond it are not here to push back.
+
+    Args:
+        points: ``(K, 3)`` of the core's charts.
+        normals: ``(K, 3)`` unit.
+        owner: ``(K,)`` nearest chart of each.
+        share: ``(M,)`` area of each chart, see :func:`shares`.
+        neighbours: ``(M, k)`` charts near each chart.
+        core: ``(M,)`` charts whose points these are.
+    """
+    near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
+    reach = reach_of_share(share * (np.count_nonzero(core) / len(points)))
+    lists = crowd(points, owner, near, _FAR * reach[owner], _SETTLED)
+    push = np.where(core[near].all(axis=1), reach, 0.0)[owner]
+    return repel(points, normals, lists, push, 1)
 
 
 def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:

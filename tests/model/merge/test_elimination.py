@@ -51,6 +51,23 @@ def test_a_lonely_outlier_is_not_spared():
     assert 5000 not in eliminate(points, rows, reach, 1000, burden)
 
 
+def test_the_last_to_go_are_chosen_by_level():
+    """Asked once, when few are left to go; what it weighs more is thinned more."""
+    points, rows, reach = setup()
+    left = points[:, 0] < 0.5
+    asked = []
+
+    def level(alive):
+        asked.append(alive.sum())
+        return np.where(left, 10.0, 1.0)
+
+    even, tilted = (eliminate(points, rows, reach, 1000, level=f) for f in (None, level))
+    assert asked == [1300]
+    assert len(tilted) == 1000
+    assert 0.48 < left[even].mean() < 0.52
+    assert left[tilted].mean() < left[even].mean() - 0.04
+
+
 def test_impossible_count_is_refused():
     """More survivors than candidates is an error, not a short answer."""
     points, rows, reach = setup()

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("igl", reason="training needs the train extra")
 from pugeo_model.errors import BadOption
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training import corpus
-from pugeo_model.training.augment import Mix
+from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import load_shape, mesh_files
 from pugeo_model.training.losses import JointLoss
@@ -81,6 +82,16 @@ def test_batches_depend_on_seed_and_step_alone(shapes):
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.patch.points, b.patch.points)
         np.testing.assert_array_equal(a.truths, b.truths)
+
+
+def test_flat_shapes_are_scanned_too():
+    """However a plane lies to the scan lines, some fall on it."""
+    rng = np.random.default_rng(0)
+    pool = np.append(rng.random((20_000, 2)), np.zeros((20_000, 1)), axis=1).astype(np.float32)
+    plane = SimpleNamespace(pool=pool, inputs=[pool] * len(corpus.SIZES))
+    lines = Mix(noisy=0, random=0, ramp=0, cut=0, lines=1)
+    for _ in range(300):
+        assert len(draw(plane, lines, rng)[0]) > 300
 
 
 def test_truths_belong_to_the_core(shapes):

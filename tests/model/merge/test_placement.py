@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.merge.placement import even_out, place, shares
+from pugeo_model.metrics.clouds import evenness
+
+
+@pytest.fixture(scope="module")
+def plane():
+    """Charts roughly evenly in a unit square, sixteen candidates each, and what both need."""
+    rng = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(45), np.arange(45)), axis=-1).reshape(-1, 2)
+    points = np.append((grid + 0.5 * rng.random(grid.shape)) / 45, np.zeros((2025, 1)), axis=1)
+    distances, neighbours = nearest(points)
+    spread = rng.uniform(-0.7 / 45, 0.7 / 45, size=(2025, 16, 3)) * [1, 1, 0]
+    candidates = (points[:, None] + spread).reshape(-1, 3)
+    owner = np.repeat(np.arange(2025, dtype=np.int32), 16)
+    return points, neighbours, shares(spacing(distances), neighbours), candidates, owner
+
+
+def up(count):
+    return np.tile(np.float32([0, 0, 1]), (count, 1))
+
+
+def test_shares_follow_density_far_and_wide():
+    """A cloud four times as dense on one side: shares there are a quarter, and smooth."""
+    rng = np.random.default_rng(0)
+    dense, sparse = rng.random((4000, 3)), rng.random((1000, 3)) + [1, 0, 0]
+    points = np.concatenate([dense, sparse]) * [1, 1, 0]
+    distances, neighbours = nearest(points)
+    share = shares(spacing(distances), neighbours)
+    assert share[points[:, 0] > 1.5].mean() / share[points[:, 0] < 0.5].mean() == pytest.approx(
+        4, rel=0.1
+    )
+    assert share[points[:, 0] < 0.5].std() < 0.1 * share[points[:, 0] < 0.5].mean()
+
+
+def test_doubt_costs_a_region_no_points(plane):
+    """Where many candidates expect much error others stay in their place: the input's density."""
+    points, neighbours, share, candidates, owner = plane
+    doubted = (points[owner, 0] < 0.5) & (np.arange(len(owner)) % 3 == 0)
+    error = np.where(doubted, 0.2, 0.02).astype(np.float32)
+    stay, spots, kept = place(
+        candidates, up(len(candidates)), error, owner, 8000, share, neighbours, seed=0
+    )
+    assert len(stay) == 0
+    assert len(spots) == len(kept) == 8000
+    wanted = (points[:, 0] < 0.5).mean()
+    assert (points[kept, 0] < 0.5).mean() == pytest.approx(wanted, abs=0.012)
+
+
+def test_landed_points_are_evened_out(plane):
+    """What landing moved settles again; points next to a margin and in its place stay."""
+    points, neighbours, share, candidates, owner = plane
+    error = np.full(len(owner), 0.02, dtype=np.float32)
+    core = points[:, 0] < 0.7
+    _, spots, kept = place(
+        candidates, up(len(owner)), error, owner, 5000, share, neighbours, seed=0, core=core
+    )
+    moved = spots + np.random.default_rng(0).normal(size=spots.shape, scale=0.001) * [1, 1, 0]
+    after = even_out(moved, up(5000), kept, share, neighbours, core)
+    assert evenness(after) < 0.9 * evenness(moved)
+    stayed = (after == moved).all(axis=1)
+    assert stayed[moved[:, 0] > 0.69].mean() > 0.9
+    assert stayed[moved[:, 0] < 0.5].mean() < 0.01
