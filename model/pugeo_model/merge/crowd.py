@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 __all__ = ["by_chart", "crowd"]
 
-_WORD = 8  # flags looked at together
-
 
 def by_chart(owner: NDArray[np.int32], charts: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Samples sorted by chart: starts ``(charts + 1,)`` and sample rows ``(K,)``, ascending."""
@@ -115,11 +113,10 @@ def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, z
             continue
         for at in range(start[other], start[other + 1]):
             j = order[at]
-            rows[count] = j
-            xs[count] = samples[j, 0] - x
-            ys[count] = samples[j, 1] - y
-            zs[count] = samples[j, 2] - z
-            count += 1
+            a, b, c = samples[j, 0] - x, samples[j, 1] - y, samples[j, 2] - z
+            rows[count], xs[count], ys[count], zs[count] = j, a, b, c
+            # Without a branch: what is out of everyone's reach is written over.
+            count += a * a + b * b + c * c <= widest * widest
     return count
 
 
@@ -140,34 +137,26 @@ def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-
     """All samples of a chart look at one list, gathered once."""
     most = found.shape[1]
     spheres = _spheres(start, order, samples)
-    room = (_longest(start, neighbours) // _WORD + 2) * _WORD
+    room = _longest(start, neighbours) + most
     places = np.empty((3, room), dtype=np.float32)
     xs, ys, zs = places[0], places[1], places[2]
-    rows = np.empty(room, dtype=np.int32)
-    close = np.empty(room + _WORD, dtype=np.int32)
-    # One flag a sample; eight of them are one word, and most words are zero.
-    words = np.zeros(room // _WORD, dtype=np.uint64)
-    within = words.view(np.uint8)
+    rows, close = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    within = np.empty(room, dtype=np.uint8)
     for chart in range(len(neighbours)):
         own_samples = order[start[chart] : start[chart + 1]]
         if len(own_samples) == 0:
             continue
         widest = spheres[chart, 3] + reach[own_samples].max()
         count = _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows)
-        within[count : count + _WORD] = 0
         for own in range(len(own_samples)):
             i = own_samples[own]
             limit = np.float32(reach[i] * reach[i])
             _flag(xs[own], ys[own], zs[own], limit, count, xs, ys, zs, within)
             within[own] = 0
+            # Written without a branch, which would be guessed wrong for every other one.
             filled = 0
-            for word in range(count // _WORD + 1):
-                if words[word] == 0:
-                    continue
-                # Written without a branch, which would be guessed wrong for every other one.
-                for at in range(word * _WORD, word * _WORD + _WORD):
-                    close[filled] = rows[at]
-                    filled += within[at]
-            filled = min(filled, most)
-            found[i, :filled] = close[:filled]
-            found[i, filled:] = -1
+            for at in range(count):
+                close[filled] = rows[at]
+                filled += within[at]
+            for at in range(most):
+                found[i, at] = close[at] if at < filled else -1

@@ -39,7 +39,8 @@ def eliminate(
 
     Args:
         points: ``(C, 3)`` float64.
-        neighbours: ``(C, k)`` int32 rows, ``-1`` where there is none; need not be mutual.
+        neighbours: ``(C, k)`` int32 rows, then ``-1``. Mutual, but for lists that are full: who is
+            on a list and does not have it on its own is not lightened when it goes.
         reach: ``(C,)`` distance within which candidates crowd each other.
         keep: number of survivors among those counted, of which there are as many at least.
         burden: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
@@ -58,29 +59,15 @@ def eliminate(
     # survivors' spacing varies by 11 % instead of 8 %.
     floor = _LIMIT * (1.0 - (keep / max(there, 1)) ** _LIMIT_POWER)
     key = extra.astype(np.float64)
-    lists = _weigh(points, neighbours, reach, floor, key)
+    weights = _weigh(points, neighbours, reach, floor, key)
     alive, factor = np.ones(len(points), dtype=np.bool_), np.ones(len(points))
     for left in (min(int(_NEARLY * keep), there), keep):
-        _thin(points, reach, counted, there - left, floor, key, *lists, alive, factor)
+        _thin(neighbours, weights, counted, there - left, key, alive, factor)
         there = left
         if level is not None and left > keep:
             factor = level(alive)
             key *= factor
     return np.flatnonzero(alive)
-
-
-@njit(cache=True, nogil=True)
-def _weight(points, reach, floor, i, j):  # type: ignore[no-untyped-def]
-    x = points[i, 0] - points[j, 0]
-    y = points[i, 1] - points[j, 1]
-    z = points[i, 2] - points[j, 2]
-    far = max(reach[j], reach[i])
-    share = 1.0 - max(np.sqrt(x * x + y * y + z * z) / far, floor)
-    if share <= 0.0:
-        return 0.0
-    share *= share
-    share *= share
-    return share * share
 
 
 @njit(cache=True, nogil=True)
@@ -111,29 +98,26 @@ def _drawer(key):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-def]
-    """Add to every key what the neighbours weigh.
-
-    Returns:
-        Who lists each candidate, since lists are not always mutual: starts ``(C + 1,)`` and rows.
-    """
-    count, k = neighbours.shape
-    start = np.zeros(count + 1, dtype=np.int64)
-    for i in range(count):
-        for j in range(k):
-            if neighbours[i, j] >= 0:
-                start[neighbours[i, j] + 1] += 1
-    for i in range(count):
-        start[i + 1] += start[i]
-    listed_by = np.empty(start[count], dtype=np.int32)
-    fill = start[:-1].copy()
-    for i in range(count):
-        for j in range(k):
-            other = neighbours[i, j]
-            if other >= 0:
-                listed_by[fill[other]] = i
-                fill[other] += 1
-                key[i] += _weight(points, reach, floor, i, other)
-    return start, listed_by
+    """What each neighbour weighs, ``(C, k)``; all of it is added to the keys."""
+    weights = np.empty(neighbours.shape, dtype=np.float32)
+    for i in range(len(neighbours)):
+        total = 0.0
+        for at in range(neighbours.shape[1]):
+            j = neighbours[i, at]
+            if j < 0:
+                break
+            x = points[i, 0] - points[j, 0]
+            y = points[i, 1] - points[j, 1]
+            z = points[i, 2] - points[j, 2]
+            far = max(reach[j], reach[i])
+            share = 1.0 - max(np.sqrt(x * x + y * y + z * z) / far, floor)
+            share = max(share, 0.0)
+            share *= share
+            share *= share
+            weights[i, at] = share * share
+            total += weights[i, at]
+        key[i] += total
+    return weights
 
 
 @njit(cache=True, nogil=True)
@@ -177,7 +161,7 @@ def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _thin(points, reach, counted, surplus, floor, key, start, listed_by, alive, factor):  # type: ignore[no-untyped-def]
+def _thin(neighbours, weights, counted, surplus, key, alive, factor):  # type: ignore[no-untyped-def]
     """Remove the heaviest until there is no surplus.
 
     Keys only ever fall, so the heaviest are found drawer by drawer, and a candidate that has
@@ -185,7 +169,7 @@ def _thin(points, reach, counted, surplus, floor, key, start, listed_by, alive, 
     every change, takes twice as long.
     """
     first, after = _fill_drawers(key, alive)
-    keys, rows = np.empty(len(points)), np.empty(len(points), dtype=np.int32)
+    keys, rows = np.empty(len(key)), np.empty(len(key), dtype=np.int32)
     top, size = len(first), 0
     while surplus > 0:
         if size == 0:
@@ -206,7 +190,8 @@ def _thin(points, reach, counted, surplus, floor, key, start, listed_by, alive, 
             continue
         alive[row] = False
         surplus -= counted[row]
-        for at in range(start[row], start[row + 1]):
-            other = listed_by[at]
-            if alive[other]:
-                key[other] -= factor[other] * _weight(points, reach, floor, other, row)
+        for at in range(neighbours.shape[1]):
+            other = neighbours[row, at]
+            if other < 0:
+                break
+            key[other] -= factor[other] * weights[row, at]

@@ -13,7 +13,7 @@ __all__ = ["even_out", "nearest_charts", "place", "shares"]
 
 _AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
 _NEAR_CHARTS = 12  # charts searched around a sample
-_CROWD = 20  # longest neighbour list among candidates, denser than the survivors
+_CROWD = 16  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
 _CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample, not a worse one
 _PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
@@ -34,7 +34,9 @@ def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArr
     Averaged over neighbours far and wide: the density of the input is followed, its accidents are
     not.
     """
-    return _averaged(_AREA * spacing.astype(np.float64) ** 2, neighbours, _WIDE)
+    area = _AREA * spacing.astype(np.float64) ** 2
+    share: NDArray[np.float64] = _averaged(area, neighbours, _WIDE)
+    return share
 
 
 def place(

@@ -45,8 +45,7 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
         after[i, 0], after[i, 1], after[i, 2] = here
         if reach[i] == 0.0:
             continue
-        far = _RANGE * reach[i]
-        inverse = 1.0 / far
+        inverse = 1.0 / (_RANGE * reach[i])
         a = b = c = total = 0.0
         for at in range(neighbours.shape[1]):
             j = neighbours[i, at]
@@ -55,14 +54,12 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
             x = here[0] - samples[j, 0]
             y = here[1] - samples[j, 1]
             z = here[2] - samples[j, 2]
-            squared = x * x + y * y + z * z
-            if squared >= far * far or squared == 0.0:
-                continue
-            d = np.sqrt(squared)
-            w = 1.0 - d * inverse
+            d = np.sqrt(x * x + y * y + z * z)
+            # No branch: which of them are beyond the range is not to be guessed.
+            w = max(1.0 - d * inverse, 0.0) if d > 0.0 else 0.0
             w *= w
             total += w
-            w /= d
+            w /= max(d, 1e-300)
             a += w * x
             b += w * y
             c += w * z
