@@ -63,8 +63,7 @@ def sample(count: int, seed: int = 0) -> Floats:
     candidates = _uniform(_CANDIDATES * count, rng)
     reach = np.full(len(candidates), reach_of_share(np.array(_area() / count)))
     far, rows = cKDTree(candidates).query(candidates, _CROWD, distance_upper_bound=reach[0])
-    crowd = np.where(np.isfinite(far), rows, -1).astype(np.int32)
-    crowd[crowd == np.arange(len(candidates))[:, None]] = -1
+    crowd = np.where(np.isfinite(far), rows, -1)[:, 1:].astype(np.int32)  # the first is itself
     return candidates[eliminate(candidates, crowd, reach, count)]
 
 

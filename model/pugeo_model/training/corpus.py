@@ -154,6 +154,5 @@ def poisson_disk(
     candidates = uniform(vertices, faces, _OVERSAMPLE * count, rng)
     reach = np.full(len(candidates), reach_of_share(np.array(share)))
     distance, rows = knn(cKDTree(candidates), candidates, 28, reach[0])
-    rows = np.where(np.isfinite(distance), rows, -1)
-    rows[rows == np.arange(len(rows))[:, None]] = -1
-    return candidates[eliminate(candidates, rows.astype(np.int32), reach, count)]
+    others = np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(np.int32)  # the first is itself
+    return candidates[eliminate(candidates, others, reach, count)]
