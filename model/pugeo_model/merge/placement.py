@@ -86,7 +86,6 @@ def place(
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
         burden = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), burden])
-    lists = crowd(candidates, owner, near, reach[owner], _CROWD)
 
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
         """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
@@ -95,7 +94,15 @@ def place(
         weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** _LEVELLING
         return weight
 
-    kept = eliminate(candidates, lists, reach[owner], wanted, burden, core[owner], level)
+    kept = eliminate(
+        candidates,
+        crowd(candidates, owner, near, reach[owner], _CROWD),  # not kept: they are large
+        reach[owner],
+        wanted,
+        burden,
+        core[owner],
+        level,
+    )
     spots, owner = candidates[kept], owner[kept]
     first = int(np.searchsorted(kept, held))
     lists = crowd(spots, owner, near, _FAR * reach[owner], _SETTLED)
