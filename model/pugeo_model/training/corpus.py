@@ -154,5 +154,7 @@ def poisson_disk(
     candidates = uniform(vertices, faces, _OVERSAMPLE * count, rng)
     reach = np.full(len(candidates), reach_of_share(np.array(share)))
     distance, rows = knn(cKDTree(candidates), candidates, 28, reach[0])
-    others = np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(np.int32)  # the first is itself
+    others = np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(
+        np.int32
+    )  # the first is itself
     return candidates[eliminate(candidates, others, reach, count)]

@@ -58,6 +58,49 @@ class Weights:
     noise: float = 3.0
 
 
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """What the charts of all patches stand on, one patch after the other.
+
+    Attributes:
+        core: charts of each patch.
+        start: ``(patches,)`` first row of each.
+        points, axes, spacing, quadric: of the ``n`` charts, as in ``Patch`` and ``Frames``.
+        trust: ``(n,)`` weight by the noise of the patch.
+        truths: ``(G, 3)`` of all patches.
+        owners: ``(G, 6)`` rows of charts that may cover each.
+    """
+
+    core: list[int]
+    start: np.ndarray
+    points: Tensor
+    axes: Tensor
+    spacing: Tensor
+    quadric: Tensor
+    trust: Tensor
+    truths: Tensor
+    owners: Tensor
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample], noise: float) -> "_Ground":
+        core = [sample.patch.core for sample in samples]
+        start = np.cumsum([0, *core[:-1]])
+        frames = [sample.patch.frames for sample in samples]
+        each = list(zip(samples, core, strict=True))
+        owners = [s.owners + b for s, b in zip(samples, start, strict=True)]
+        return cls(
+            core,
+            start,
+            points=_rows([s.patch.points[:n] for s, n in each]),
+            axes=_rows([f.axes[:n] for f, n in zip(frames, core, strict=True)]),
+            spacing=_rows([f.spacing[:n] for f, n in zip(frames, core, strict=True)]),
+            quadric=_rows([f.quadric[:n] for f, n in zip(frames, core, strict=True)]),
+            trust=_rows([np.full(n, 1 / (1 + noise * s.noise)) for s, n in each]),
+            truths=_rows([sample.truths for sample in samples]),
+            owners=torch.from_numpy(np.concatenate(owners)),
+        )
+
+
 class JointLoss:
     """Loss of a batch.
 
@@ -83,34 +126,23 @@ class JointLoss:
             rng: draws the locations at which charts are blended.
         """
         w = self.weights
-        core = [sample.patch.core for sample in samples]
-        start = np.cumsum([0, *core[:-1]])
-        frames = [sample.patch.frames for sample in samples]
-        points = _rows([s.patch.points[:n] for s, n in zip(samples, core, strict=True)])
-        axes = _rows([f.axes[:n] for f, n in zip(frames, core, strict=True)])
-        spacing = _rows([f.spacing[:n] for f, n in zip(frames, core, strict=True)])
-        quadric = _rows([f.quadric[:n] for f, n in zip(frames, core, strict=True)])
-        trust = _rows(
-            [np.full(n, 1 / (1 + w.noise * s.noise)) for s, n in zip(samples, core, strict=True)]
-        )
+        ground = _Ground.of(samples, w.noise)
+        points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
 
-        charts, uv = net(gather([sample.patch for sample in samples]), quadric, count)
+        charts, uv = net(gather([sample.patch for sample in samples]), ground.quadric, count)
         local, normals, log_error = evaluate(net.surface, charts, uv)
         cloud = points[:, None] + spacing[:, None, None] * (local @ axes)
         world_normals = normals @ axes
         coarse = (charts.T[..., 2].unsqueeze(1) @ axes).squeeze(1)
 
-        foot, true_normal = self._project(samples, core, cloud.detach())
+        foot, true_normal = self._project(samples, ground.core, cloud.detach())
         miss = _length(cloud - foot) / spacing[:, None]
         turn = _unoriented(world_normals, true_normal)
         coarse_turn = _unoriented(coarse.unsqueeze(1), true_normal)
         share = trust[:, None] / trust.sum() / count
 
         # Truths of all patches against the charts that may cover them.
-        truths = _rows([sample.truths for sample in samples])
-        owners = torch.from_numpy(
-            np.concatenate([s.owners + b for s, b in zip(samples, start, strict=True)])
-        )
+        truths, owners = ground.truths, ground.owners
         with torch.no_grad():
             apart = (cloud[owners] - truths[:, None, None]).square().sum(-1).flatten(1)
             best = apart.argmin(dim=1)
@@ -128,21 +160,7 @@ class JointLoss:
             "refined_normal": (share * turn).sum(),
             "confidence": (share * expected).sum(),
         }
-        parts |= self._blended(
-            net,
-            charts,
-            samples,
-            core,
-            start,
-            points,
-            axes,
-            spacing,
-            cloud,
-            trust,
-            truths,
-            owners,
-            rng,
-        )
+        parts |= self._blended(net, charts, samples, ground, cloud, rng)
         total = (
             w.coverage * parts["coverage"]
             + w.p2f * parts["p2f"]
@@ -160,15 +178,8 @@ class JointLoss:
         net: PUGeoNet,
         charts: Charts,
         samples: Sequence[Sample],
-        core: list[int],
-        start: np.ndarray,
-        points: Tensor,
-        axes: Tensor,
-        spacing: Tensor,
+        ground: "_Ground",
         cloud: Tensor,
-        trust: Tensor,
-        truths: Tensor,
-        owners: Tensor,
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
         """Charts judged where others put their samples: there they are blended when served.
@@ -176,8 +187,10 @@ class JointLoss:
         And where the surface is: what lies on it has to stay, also on a ridge, from which the
         mean of the charts of both sides would pull it back.
         """
+        points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
+        start, truths, owners = ground.start, ground.truths, ground.owners
         near = np.concatenate([s.near + b for s, b in zip(samples, start, strict=True)])
-        ends = np.repeat(start + np.array(core), core)
+        ends = np.repeat(start + np.array(ground.core), ground.core)
         whole = torch.from_numpy(np.flatnonzero((near[:, :8] < ends[:, None]).all(axis=1)))
         pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), _SPOTS)))
         jitter = torch.from_numpy(
