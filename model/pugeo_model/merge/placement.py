@@ -19,11 +19,12 @@ _CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample,
 _PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
 _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
-_USUAL = 2.2  # times the error usual around it that a candidate may be off without burden
+_USUAL = 1.9  # times the error usual around it that a candidate may be off without burden, R=1
+_FINER = 0.2  # power of R of that: among more points a hole is larger than an error
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
 _FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
-_ROUNDS = 3
-_WIDE = 8  # times that shares are averaged over 32 neighbours
+_ROUNDS = 4
+_WIDE = 8  # times that shares, and errors, are averaged over neighbours
 _LOCAL = 2  # times that the number left of each chart is
 _LEVELLING = 6  # power of the density to weigh by: 1 % more or less moves a weight as 12 would
 
@@ -77,7 +78,8 @@ def place(
     core = np.ones(len(share), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
     reach = reach_of_share(share * (np.count_nonzero(core) / wanted))
-    burden = _doubt(error.astype(np.float64), owner, near)
+    usual = _USUAL * (wanted / np.count_nonzero(core)) ** _FINER
+    burden = _doubt(error.astype(np.float64), owner, near, usual)
     burden += _CHANCE * _draw(candidates, seed)
     held = 0
     if pinned is not None:
@@ -171,17 +173,18 @@ def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 
 
 def _doubt(
-    error: NDArray[np.float64], owner: NDArray[np.int32], near: NDArray[np.int32]
+    error: NDArray[np.float64], owner: NDArray[np.int32], near: NDArray[np.int32], usual: float
 ) -> NDArray[np.float64]:
-    """Burden of candidates that expect a larger error than is usual around them.
+    """Burden of candidates that expect more than ``usual`` times the error usual around them.
 
     Compared with their surroundings, not with the whole cloud: where all are unsure, as along an
-    edge, a burden on all would only tear a hole.
+    edge, a burden on all would only tear a hole. But with wide ones: at the rim of a fin all are
+    unsure, and some are beyond it.
     """
     charts = len(near)
     count = np.maximum(np.bincount(owner, minlength=charts), 1)
-    usual = (np.bincount(owner, error, charts) / count)[near].mean(axis=1)
-    excess = error / np.maximum(usual[owner], 1e-12) - _USUAL
+    around = _averaged(np.bincount(owner, error, charts) / count, near, _WIDE)
+    excess = error / np.maximum(around[owner], 1e-12) - usual
     burden: NDArray[np.float64] = _DOUBT * np.maximum(excess, 0.0)
     return burden
 
