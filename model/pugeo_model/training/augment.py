@@ -27,7 +27,7 @@ class Mix:
         noise: largest standard deviation, in spacings.
     """
 
-    noisy: float = 0.22
+    noisy: float = 0.28
     random: float = 0.12
     ramp: float = 0.03
     cut: float = 0.03

@@ -55,7 +55,7 @@ class Weights:
     refined_normal: float = 0.5
     blended: float = 3.0
     confidence: float = 0.05
-    noise: float = 3.0
+    noise: float = 2.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ class Recipe:
     architecture: Architecture = field(default_factory=Architecture)
     mix: Mix = field(default_factory=Mix)
     weights: Weights = field(default_factory=Weights)
-    steps: int = 46_000
+    steps: int = 65_000
     rate: float = 2e-3
     warmup: int = 200
     cooldown: float = 0.45
