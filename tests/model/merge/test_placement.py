@@ -21,7 +21,7 @@ def plane():
 
 
 def up(count):
-    return np.tile(np.float32([0, 0, 1]), (count, 1))
+    return np.tile(np.array([0, 0, 1], dtype=np.float32), (count, 1))
 
 
 def test_shares_follow_density_far_and_wide():

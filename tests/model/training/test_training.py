@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training import corpus
 from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.batches import Batches
-from pugeo_model.training.corpus import load_shape, mesh_files
+from pugeo_model.training.corpus import Shape, load_shape, mesh_files
 from pugeo_model.training.losses import JointLoss
 from pugeo_model.training.recipes import available_recipes, read_recipe
 from pugeo_model.training.run import load_shapes, run
@@ -88,7 +87,9 @@ def test_flat_shapes_are_scanned_too():
     """However a plane lies to the scan lines, some fall on it."""
     rng = np.random.default_rng(0)
     pool = np.append(rng.random((20_000, 2)), np.zeros((20_000, 1)), axis=1).astype(np.float32)
-    plane = SimpleNamespace(pool=pool, inputs=[pool] * len(corpus.SIZES))
+    none = np.empty((0, 3))
+    inputs = (pool.astype(float),) * len(corpus.SIZES)
+    plane = Shape("plane", none, none.astype(int), none, pool, inputs)
     lines = Mix(noisy=0, random=0, ramp=0, cut=0, lines=1)
     for _ in range(300):
         assert len(draw(plane, lines, rng)[0]) > 300
