@@ -88,7 +88,7 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
 def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Samples near equidistant planes, thinned so that lines are denser along than across."""
     height = pool @ _direction(rng).astype(np.float32)
-    # Across a flat shape no line at all would fall on some.
+    # Across a thin shape no line at all would fall on some.
     gap = min(rng.uniform(0.03, 0.06), float(np.ptp(height)) / 4.0)
     near = np.abs((height / gap) % 1.0 - 0.5) < 0.04
     rows = np.flatnonzero(near)

@@ -83,16 +83,16 @@ def test_batches_depend_on_seed_and_step_alone(shapes):
         np.testing.assert_array_equal(a.truths, b.truths)
 
 
-def test_flat_shapes_are_scanned_too():
-    """However a plane lies to the scan lines, some fall on it."""
+def test_thin_shapes_are_scanned_too():
+    """However a needle lies to the scan lines, some fall on it."""
     rng = np.random.default_rng(0)
-    pool = np.append(rng.random((20_000, 2)), np.zeros((20_000, 1)), axis=1).astype(np.float32)
+    pool = (rng.random((20_000, 3)) * [1, 0.01, 0.01]).astype(np.float32)
     none = np.empty((0, 3))
     inputs = (pool.astype(float),) * len(corpus.SIZES)
-    plane = Shape("plane", none, none.astype(int), none, pool, inputs)
+    needle = Shape("needle", none, none.astype(int), none, pool, inputs)
     lines = Mix(noisy=0, random=0, ramp=0, cut=0, lines=1)
     for _ in range(300):
-        assert len(draw(plane, lines, rng)[0]) > 300
+        assert len(draw(needle, lines, rng)[0]) > 300
 
 
 def test_truths_belong_to_the_core(shapes):
