@@ -25,9 +25,9 @@ _POINTS_OUT = 1 << 18  # of a tile's core: what a worker holds at one time
 _FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core
 # A cloud this much larger than a core stays in one piece: margins would cost more than they save.
 _WHOLE = 1.5
-# In spacings. With 6 a sphere in tiles is as even as in one piece, with 5 seams show:
-# that far the blend of charts, their messages and the even spread of points reach in effect.
-_MARGIN = 6.5
+# In spacings: that far the blend of charts, their messages, the averages of shares and errors and
+# the even spread of points reach in effect. With 5 seams show, with 6.5 a few close pairs.
+_MARGIN = 8.0
 _SAMPLED = 2048  # points at which a tile's spacing is measured
 _SURVEYED = 8  # tiles in which the noise is measured
 

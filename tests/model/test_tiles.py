@@ -77,8 +77,10 @@ def test_no_seam_shows(upsampler, ball):
     once, tiles = (
         np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
     )
-    # Tiles count for themselves, so that a pair or two may be closer than any in one piece.
-    assert (tiles < 0.8 * once[0]).sum() <= 6
+    # Tiles count for themselves, so one pair may be closer than any in one piece: 0.86 of that. A
+    # margin of 5 spacings has three pairs at 0.2 to 0.85, one of 3 has dozens.
+    assert tiles[0] > 0.8 * once[0]
+    assert (tiles[2:100] > 0.9 * once[2:100]).all()
     assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
     assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
 

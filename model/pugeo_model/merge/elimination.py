@@ -61,12 +61,13 @@ def eliminate(
     key = extra.astype(np.float64)
     weights = _weigh(points, neighbours, reach, floor, key)
     alive, factor = np.ones(len(points), dtype=np.bool_), np.ones(len(points))
-    for left in (min(int(_NEARLY * keep), there), keep):
-        _thin(neighbours, weights, counted, there - left, key, alive, factor)
-        there = left
-        if level is not None and left > keep:
-            factor = level(alive)
-            key *= factor
+    nearly = min(int(_NEARLY * keep), there)
+    if level is not None and nearly > keep:
+        _thin(neighbours, weights, counted, there - nearly, key, alive, factor)
+        factor = level(alive)
+        key *= factor
+        there = nearly
+    _thin(neighbours, weights, counted, there - keep, key, alive, factor)
     return np.flatnonzero(alive)
 
 

@@ -26,7 +26,7 @@ _FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, a
 _ROUNDS = 5
 _WIDE = 8  # times that shares, and errors, are averaged over neighbours
 _LOCAL = 2  # times that the number left of each chart is
-_LEVELLING = 6  # power of the density to weigh by: 1 % more or less moves a weight as 12 would
+_LEVELLING = 6  # power of a region's density by which its weights grow
 
 
 def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -107,10 +107,9 @@ def place(
     )
     spots, owner = candidates[kept], owner[kept]
     first = int(np.searchsorted(kept, held))
-    lists = crowd(spots, owner, near, _FAR * reach[owner], _SETTLED)
     push = reach[owner]
     push[:first] = 0.0  # pushes, and is not pushed
-    spots = repel(spots, normals[kept], lists, push, _ROUNDS)
+    spots = _settle(spots, normals[kept], owner, near, reach, push, _ROUNDS)
     mine = core[owner]
     stay = owner[:first][mine[:first]]
     mine[:first] = False
@@ -154,9 +153,22 @@ def even_out(
     """
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
     reach = reach_of_share(share * (np.count_nonzero(core) / len(points)))
-    lists = crowd(points, owner, near, _FAR * reach[owner], _SETTLED)
     push = np.where(core[near].all(axis=1), reach, 0.0)[owner]
-    return repel(points, normals, lists, push, 1)
+    return _settle(points, normals, owner, near, reach, push, 1)
+
+
+def _settle(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    owner: NDArray[np.int32],
+    near: NDArray[np.int32],
+    reach: NDArray[np.float64],
+    push: NDArray[np.float64],
+    rounds: int,
+) -> NDArray[np.float64]:
+    """Points ``(K, 3)`` pushed apart: ``reach`` of charts, ``push`` of points, 0 of who stays."""
+    lists = crowd(points, owner, near, _FAR * reach[owner], _SETTLED)
+    return repel(points, normals, lists, push, rounds)
 
 
 def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
