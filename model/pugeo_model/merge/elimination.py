@@ -97,10 +97,11 @@ def _drawer(key):  # type: ignore[no-untyped-def]
     return bits >> np.int32(_DRAWER_BITS)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-def]
     """What each neighbour weighs, ``(C, k)``; all of it is added to the keys."""
     weights = np.empty(neighbours.shape, dtype=np.float32)
+    inverse = 1.0 / reach
     for i in range(len(neighbours)):
         total = 0.0
         for at in range(neighbours.shape[1]):
@@ -110,8 +111,8 @@ def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-de
             x = points[i, 0] - points[j, 0]
             y = points[i, 1] - points[j, 1]
             z = points[i, 2] - points[j, 2]
-            far = max(reach[j], reach[i])
-            share = 1.0 - max(np.sqrt(x * x + y * y + z * z) / far, floor)
+            near = np.sqrt(x * x + y * y + z * z) * min(inverse[j], inverse[i])
+            share = 1.0 - max(near, floor)
             share = max(share, 0.0)
             share *= share
             share *= share

@@ -10,6 +10,7 @@ __all__ = ["repel"]
 _STEP = 0.5  # of the mean push: the study's value
 _RANGE = 1.3  # reaches within which samples push
 _LIMIT = 0.25  # of the reach: the furthest move in one round
+_TINY = 1e-300  # squared distance of samples in one place, which do not push
 
 
 def repel(
@@ -38,7 +39,7 @@ def repel(
     return now
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untyped-def]
     for i in range(len(samples)):
         here = samples[i, 0], samples[i, 1], samples[i, 2]
@@ -46,7 +47,7 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
         if reach[i] == 0.0:
             continue
         inverse = 1.0 / (_RANGE * reach[i])
-        a = b = c = total = 0.0
+        a = b = c = 0.0
         for at in range(neighbours.shape[1]):
             j = neighbours[i, at]
             if j < 0:
@@ -54,17 +55,14 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
             x = here[0] - samples[j, 0]
             y = here[1] - samples[j, 1]
             z = here[2] - samples[j, 2]
-            d = np.sqrt(x * x + y * y + z * z)
+            squared = max(x * x + y * y + z * z, _TINY)
+            per = 1.0 / np.sqrt(squared)
             # No branch: which of them are beyond the range is not to be guessed.
-            w = max(1.0 - d * inverse, 0.0) if d > 0.0 else 0.0
-            w *= w
-            total += w
-            w /= max(d, 1e-300)
+            w = max(1.0 - squared * per * inverse, 0.0)
+            w *= w * per
             a += w * x
             b += w * y
             c += w * z
-        if total == 0.0:
-            continue
         n = normals[i, 0], normals[i, 1], normals[i, 2]
         along = a * n[0] + b * n[1] + c * n[2]
         step = _STEP * reach[i]

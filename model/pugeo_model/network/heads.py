@@ -10,11 +10,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.geometry.quadric import QUADRIC
+from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.pattern import disk
 from pugeo_model.network.pooling import rectify
 from pugeo_model.network.precision import wide_products
 
-__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric"]
+__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric", "spread"]
 
 LOG_ERROR = -3.0
 """Logarithm of the error, in spacings, that an untrained head expects of itself."""
@@ -23,12 +24,27 @@ _DISK = 0.87  # side, in spacings, of the square as large as one point's share o
 _TERMS = 8  # u, v, u^2, u v, v^2, quadric height and its two slopes
 
 
-def _quiet(layer: nn.Linear) -> nn.Linear:
+def _quiet(layer: Linear) -> Linear:
     """Scale an output layer down to near silence."""
     with torch.no_grad():
         layer.weight.mul_(0.01)
         layer.bias.zero_()
     return layer
+
+
+def spread(uv: Tensor, basis: Tensor) -> Tensor:
+    """Linear combinations of two vectors: a product of matrices this flat is slow.
+
+    Args:
+        uv: ``(n, r, 2)`` or ``(r, 2)``.
+        basis: ``(n, 2, d)``.
+
+    Returns:
+        ``(n, r, d)``.
+    """
+    along, across = basis.unsqueeze(2).unbind(1)
+    u, v = uv.unsqueeze(-1).unbind(-2)
+    return torch.addcmul(u * along, v, across)
 
 
 def quadric(coefficients: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
@@ -56,7 +72,7 @@ class Frame(nn.Module):
 
     def __init__(self, features: int) -> None:
         super().__init__()
-        self.out = _quiet(nn.Linear(features, 6))
+        self.out = _quiet(Linear(features, 6))
         self.register_buffer("identity", torch.eye(3)[:2].flatten(), persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -78,11 +94,11 @@ class Samples(nn.Module):
 
     def __init__(self, features: int, width: int) -> None:
         super().__init__()
-        self.stretch = _quiet(nn.Linear(features, 4))
-        self.code = nn.Linear(features, width)
-        self.pattern = nn.Linear(4, width, bias=False)
-        self.hidden = nn.Linear(width, width)
-        self.out = _quiet(nn.Linear(width, 2))
+        self.stretch = _quiet(Linear(features, 4))
+        self.code = Linear(features, width)
+        self.pattern = Linear(4, width, bias=False)
+        self.hidden = Rectified(width, width)
+        self.out = _quiet(Linear(width, 2))
         self.register_buffer("identity", torch.eye(2).flatten(), persistent=False)
 
     def forward(self, features: Tensor, count: int) -> Tensor:
@@ -100,9 +116,9 @@ class Samples(nn.Module):
         with wide_products():
             stretch = (self.stretch(features).float() + self.identity).unflatten(-1, (2, 2))
             hidden = rectify(self.code(features).unsqueeze(1) + self.pattern(seen))
-            hidden = rectify(self.hidden(hidden))
+            hidden = self.hidden(hidden)
             residual = 2.0 * inverse_root * self.out(hidden).float()
-        uv: Tensor = _DISK * (pattern @ stretch.mT + residual)
+        uv: Tensor = _DISK * (spread(pattern, stretch.mT) + residual)
         return uv
 
 
@@ -116,11 +132,11 @@ class Surface(nn.Module):
     def __init__(self, features: int, width: int, hidden: int) -> None:
         super().__init__()
         self.width = width
-        self.code = nn.Linear(features, width)
-        self.terms = nn.Linear(_TERMS, width, bias=False)
-        self.hidden = nn.Linear(width, hidden)
-        self.out = _quiet(nn.Linear(hidden, 4))
-        self.lift = _quiet(nn.Linear(features, 2))
+        self.code = Linear(features, width)
+        self.terms = Linear(_TERMS, width, bias=False)
+        self.hidden = Rectified(width, hidden)
+        self.out = _quiet(Linear(hidden, 4))
+        self.lift = _quiet(Linear(features, 2))
 
     def encode(self, features: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
         """What of a chart its samples need: code ``(n, width)`` and lift ``(n,)``.
@@ -154,7 +170,7 @@ class Surface(nn.Module):
         terms = torch.stack([u, v, u * u, u * v, v * v, height, *slope.unbind(-1)], dim=-1)
         with wide_products():
             hidden = rectify(self.terms(terms).add_(code.unsqueeze(1)))
-            out = self.out(rectify(self.hidden(hidden))).float()
+            out = self.out(self.hidden(hidden)).float()
         displacement = height + lift.unsqueeze(1) + out[..., 0]
         up = torch.ones_like(displacement)
         normal = torch.stack([out[..., 1] - slope[..., 0], out[..., 2] - slope[..., 1], up], dim=-1)

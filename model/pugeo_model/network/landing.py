@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from pugeo_model.merge.atlas import Landing
+from pugeo_model.network.bits import bits, narrowed, widened
 from pugeo_model.network.blend import FALLOFF, TRUST
 from pugeo_model.network.heads import LOG_ERROR, Surface
 from pugeo_model.network.precision import bfloat16_pays
 
 __all__ = ["Lander", "settle"]
 
-_BLOCK = 512  # spots a pass: few calls, and what a pass writes still fits the caches
-_GRAIN = 256  # rows of a product are a multiple of this, see `gather`; divides _BLOCK
+_ROWS = 4096  # spots times charts a pass: few calls, and what one writes still fits the caches
+_GRAIN = 256  # rows of a product are a multiple of this, see `gather`; divides _ROWS
 _SHEET = 18  # numbers kept of a chart: basis (9), spacing, its inverse, quadric (6), lift
 _TERMS = 8  # inputs of the first layer: u, v, their products, height, slopes
 _OFFSET = 4  # numbers kept of a spot on a chart: x, y, z, squared distance in spacings
@@ -60,14 +61,14 @@ class Lander:
         # Copied first: what comes from another process may be read-only, and torch warns of that.
         codes = torch.from_numpy(landing.code.copy()).float().numpy()
         sheets = _sheets(landing.axes, landing.spacing, landing.quadric, landing.T, landing.lift)
-        block = _BLOCK * charts
+        block = _ROWS // charts
         # Bits of bfloat16, which numpy and numba do not know.
-        first = np.zeros((block, codes.shape[1]), dtype=np.int16)
+        first = np.zeros((_ROWS, codes.shape[1]), dtype=np.int16)
         ready = torch.from_numpy(first).view(torch.bfloat16)
-        terms = np.zeros((block, _TERMS), dtype=np.float32)
-        offsets = np.empty((block, _OFFSET), dtype=np.float32)
-        for start in range(0, count, _BLOCK):
-            part = slice(start, min(start + _BLOCK, count))
+        terms = np.zeros((_ROWS, _TERMS), dtype=np.float32)
+        offsets = np.empty((_ROWS, _OFFSET), dtype=np.float32)
+        for start in range(0, count, block):
+            part = slice(start, min(start + block, count))
             rows = landing.charts[part].ravel()
             _place(landing.spots[part], rows, landing.points, sheets, terms, offsets)
             _enter(rows, codes, terms, self.terms, first)
@@ -75,7 +76,7 @@ class Lander:
             seen = ready[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
             hidden = functional.linear(seen, self.hidden, self.hidden_bias).to(torch.bfloat16)
             _leave(
-                hidden.view(torch.int16).numpy(),
+                bits(hidden),
                 landing.charts[part],
                 sheets,
                 terms,
@@ -170,14 +171,6 @@ def _place(spots, rows, points, sheets, terms, offsets):  # type: ignore[no-unty
             offsets[row, 3] = (x * x + y * y + z * z) * inverse * inverse
 
 
-@njit(inline="always")
-def _halved(value):  # type: ignore[no-untyped-def]
-    """Bits of the bfloat16 nearest to the rectified float32, ties to even."""
-    bits = np.float32(max(value, np.float32(0.0))).view(np.int32)
-    odd = np.int32(np.int32(bits >> np.int32(16)) & np.int32(1))
-    return np.int16(np.int32(bits + np.int32(0x7FFF) + odd) >> np.int32(16))
-
-
 @njit(cache=True, nogil=True, fastmath=True)
 def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
     """The first layer of the head, rectified, in bits of bfloat16."""
@@ -186,7 +179,7 @@ def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
         t0, t1, t2, t3 = terms[row, 0], terms[row, 1], terms[row, 2], terms[row, 3]
         t4, t5, t6, t7 = terms[row, 4], terms[row, 5], terms[row, 6], terms[row, 7]
         for k in range(codes.shape[1]):
-            first[row, k] = _halved(
+            entered = (
                 codes[chart, k]
                 + weight[0, k] * t0
                 + weight[1, k] * t1
@@ -197,6 +190,7 @@ def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
                 + weight[6, k] * t6
                 + weight[7, k] * t7
             )
+            first[row, k] = narrowed(max(entered, np.float32(0.0)))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -214,8 +208,7 @@ def _leave(  # type: ignore[no-untyped-def]
             row = i * count + c
             rise = du = dv = doubt = np.float32(0.0)
             for k in range(hidden.shape[1]):
-                bits = np.int32(np.int32(hidden[row, k]) << np.int32(16))
-                h = max(bits.view(np.float32), np.float32(0.0))
+                h = max(widened(hidden[row, k]), np.float32(0.0))
                 rise += h * weight[0, k]
                 du += h * weight[1, k]
                 dv += h * weight[2, k]

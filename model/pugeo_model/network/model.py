@@ -8,7 +8,9 @@ import torch
 
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
+from pugeo_model.network.heads import spread
 from pugeo_model.network.landing import Lander, settle
+from pugeo_model.network.linear import serve
 from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import PUGeoNet
@@ -36,6 +38,7 @@ class Model:
         bound_compiled_products()
         keep_freed_memory()
         self.net = net.eval()
+        serve(self.net)
         self.card = card
         self._lander = Lander(self.net.surface)
 
@@ -47,8 +50,8 @@ class Model:
         quadric = frames.quadric[:core]
         charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
         # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
-        flat = uv @ charts.T[..., :2].mT @ torch.from_numpy(frames.axes[:core])
-        candidates = flat.numpy() * frames.spacing[:core, None, None]
+        scaled = torch.from_numpy(frames.axes[:core] * frames.spacing[:core, None, None])
+        candidates = spread(uv, charts.T[..., :2].mT @ scaled).numpy()
         return PatchCharts(
             rows=patch.rows[:core],
             candidates=candidates.astype(np.float32, copy=False),

@@ -8,7 +8,6 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import cut
 from pugeo_model.network.blend import blend
 from pugeo_model.network.neighbourhoods import gather
-from pugeo_model.network.pooling import max_pool, mean_pool
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
 
@@ -100,25 +99,3 @@ def test_blend_leaves_points_of_a_plane_alone(net, plane):
     assert step.norm(dim=1).max() < 0.05 * frames.spacing.mean()
     cosine = (normals.numpy() @ normal).astype(np.float64)
     assert np.abs(cosine).min() > 0.99
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-@pytest.mark.parametrize("turned", [False, True], ids=["contiguous", "transposed"])
-def test_pools_match_torch(dtype, turned):
-    """Both pools equal torch's, values and gradients, also of what does not lie in a row."""
-    torch.manual_seed(0)
-    drawn = torch.randperm(12 * 400).reshape(12, 50, 8).remainder(240) - 40.0
-    drawn = drawn.relu().to(dtype)
-    values = (drawn.mT.contiguous().mT if turned else drawn.clone()).requires_grad_()
-    other = drawn.clone().requires_grad_()
-    torch.testing.assert_close(max_pool(values), other.max(dim=0).values)
-    torch.testing.assert_close(mean_pool(values), other.mean(dim=0))
-    weight = torch.rand(50, 8).to(dtype)
-    (weight * (max_pool(values) + mean_pool(values))).sum().backward()
-    (weight * (other.max(dim=0).values + other.mean(dim=0))).sum().backward()
-    top = other.detach().amax(dim=0)
-    single = (other.detach() > 0) & (((other.detach() == top).sum(dim=0)) == 1)
-    assert single.float().mean() > 0.5
-    assert values.grad is not None
-    assert other.grad is not None
-    torch.testing.assert_close(values.grad[single], other.grad[single])

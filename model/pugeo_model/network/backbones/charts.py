@@ -5,20 +5,20 @@ Sums and rectifications are done in place wherever no gradient needs what they o
 layers are bound by memory, not by arithmetic.
 """
 
-import itertools
+from collections import OrderedDict
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
+from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.neighbourhoods import Neighbourhoods, Round
-from pugeo_model.network.pooling import max_pool, mean_pool, rectify
+from pugeo_model.network.pooling import pools, sums
 
 __all__ = ["ChartsBackbone"]
 
 _SCALES = (8, 16, 32)
-_STEPS = [stop - start for start, stop in itertools.pairwise((0, *_SCALES))]
 
 
 class Recalibration(nn.Module):
@@ -32,7 +32,7 @@ class Recalibration(nn.Module):
     def __init__(self, scales: int, width: int) -> None:
         super().__init__()
         self.scales = scales
-        self.logits = nn.Linear(scales * width, scales)
+        self.logits = Linear(scales * width, scales)
 
     def forward(self, features: Tensor) -> Tensor:
         """``(n, scales * width)`` -> the same, each scale times its weight, mean weight 1."""
@@ -48,23 +48,18 @@ class Neighbours(nn.Module):
 
     def __init__(self, width: int, out: int) -> None:
         super().__init__()
-        self.first = nn.Linear(EDGE, width)
-        self.second = nn.Linear(width, width)
+        self.first = Rectified(EDGE, width)
+        self.second = Rectified(width, width)
         self.recalibration = Recalibration(len(_SCALES) + 1, width)
-        self.out = nn.Linear((len(_SCALES) + 1) * width + SCALARS, out)
+        self.out = Rectified((len(_SCALES) + 1) * width + SCALARS, out)
 
     def forward(self, edges: Tensor, scalars: Tensor) -> Tensor:
         """``(k, n, 5)``, ``(n, 9)`` -> ``(n, out)``."""
-        each = rectify(self.second(rectify(self.first(edges))))
-        # Neighbours come sorted by distance: the max over the first 16 grows from that over 8.
-        pools: list[Tensor] = []
-        # Split and not sliced: the gradients of slices are each written into zeros of full size.
-        for part in each.split(_STEPS):
-            pool = max_pool(part)
-            pools.append(pool if not pools else torch.maximum(pool, pools[-1]))
-        pools.append(mean_pool(each))
-        hierarchy = self.recalibration(torch.cat(pools, dim=-1))
-        return rectify(self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], -1)))
+        each = self.second(self.first(edges))
+        # Neighbours come sorted by distance: the nearest 8 are the finest scale.
+        hierarchy = self.recalibration(pools(each, _SCALES))
+        out: Tensor = self.out(torch.cat([hierarchy, scalars.to(hierarchy.dtype)], dim=-1))
+        return out
 
 
 class Messages(nn.Module):
@@ -81,28 +76,24 @@ class Messages(nn.Module):
 
     def __init__(self, width: int, expansion: int) -> None:
         super().__init__()
-        self.receiver = nn.Linear(width, width)
-        self.sender = nn.Linear(width, width, bias=False)
-        self.pose = nn.Linear(POSE, width, bias=False)
-        self.second = nn.Linear(width, width)
-        self.out = nn.Linear(3 * width, width)
+        self.receiver = Linear(width, width)
+        self.sender = Linear(width, width, bias=False)
+        self.pose = Linear(POSE, width, bias=False)
+        self.second = Rectified(width, width)
+        self.out = Rectified(3 * width, width)
         self.norm = nn.LayerNorm(width)
         self.own: nn.Sequential | None = None
         if expansion:
             hidden = expansion * width
-            self.own = nn.Sequential(
-                nn.Linear(width, hidden), nn.ReLU(inplace=True), nn.Linear(hidden, width)
-            )
+            layers = {"0": Rectified(width, hidden), "2": Linear(hidden, width)}
+            self.own = nn.Sequential(OrderedDict(layers))
 
     def forward(self, features: Tensor, turn: Round) -> Tensor:
         """``(n, width)`` features of the outer ring -> ``(len(turn.rows), width)``."""
         own = features.index_select(0, turn.rows)
-        sent = self.sender(features).index_select(0, turn.sources.flatten())
-        sent = sent.unflatten(0, tuple(turn.sources.shape))
-        each = rectify(self.pose(turn.pose).add_(sent).add_(self.receiver(own)))
-        each = rectify(self.second(each))
-        pooled = torch.cat([own, max_pool(each), mean_pool(each)], dim=-1)
-        updated: Tensor = self.norm(own + rectify(self.out(pooled)))
+        each = sums(self.pose(turn.pose), self.sender(features), turn.sources, self.receiver(own))
+        pooled = pools(self.second(each), [len(each)], own)
+        updated: Tensor = self.norm(own + self.out(pooled))
         return updated if self.own is None else updated + self.own(updated)
 
 
@@ -124,7 +115,7 @@ class ChartsBackbone(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.messages = nn.ModuleList(Messages(width, expansion) for _ in MESSAGES)
         self.recalibration = Recalibration(len(MESSAGES) + 1, width)
-        self.out = nn.Linear((len(MESSAGES) + 1) * width, features)
+        self.out = Rectified((len(MESSAGES) + 1) * width, features)
 
     def forward(self, hoods: Neighbourhoods) -> Tensor:
         """Features ``(n, features)``: the core rows in the order of the patches, then filling."""
@@ -134,4 +125,5 @@ class ChartsBackbone(nn.Module):
             latest = layer(levels[-1], turn)
             levels = [*levels[:-1], levels[-1].index_select(0, turn.rows), latest]
         hierarchy = self.recalibration(torch.cat(levels, dim=-1))
-        return rectify(self.out(hierarchy))
+        out: Tensor = self.out(hierarchy)
+        return out
