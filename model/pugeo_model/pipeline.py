@@ -4,6 +4,9 @@
     plan       = survey(cloud, options)
     for tile in plan.tiles:                       # one, unless the cloud is large
         job        = prepare(tile)
+        if noisy(job):                            # once more, from where its points belong
+            charts = [predict(model, patch, job.candidates) for patch in job.patches]
+            job    = denoise(job, [land(model, parcel) for parcel in own_spots(job, charts)])
         charts     = [predict(model, patch, job.candidates) for patch in job.patches]
         candidates = [land(model, parcel) for parcel in propose(job, charts)]
         points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
@@ -27,8 +30,9 @@ from numpy.typing import NDArray
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.finish.attributes import carry
-from pugeo_model.finish.joining import Sides, signs_of_parts, take_sides
+from pugeo_model.finish.joining import signs_of_parts, take_sides
 from pugeo_model.finish.orientation import method_of, orient, propagate
+from pugeo_model.finish.seams import Rim, part
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
@@ -43,10 +47,11 @@ from pugeo_model.merge.atlas import (
     parcels,
     screened,
 )
+from pugeo_model.merge.elimination import reach_of_share
 from pugeo_model.merge.placement import even_out, place, shares
 from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
-from pugeo_model.plan import Job, Piece, Plan, Result
+from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:
@@ -59,23 +64,25 @@ __all__ = [
     "Result",
     "agree",
     "assemble",
+    "denoise",
     "finish",
     "land",
     "merge",
+    "noisy",
+    "own_spots",
     "predict",
     "prepare",
     "propose",
+    "settle",
     "survey",
-    "turn",
 ]
 
-Signs = NDArray[np.float64] | None
-"""Of the parts of a tile, ``None`` where its normals are final."""
-
 # Spacings that half of the input's points move at most, when they land, of an input without noise:
-# 0.002 to 0.007 on clean and even validation inputs, to 0.03 on random ones, 0.02 to 0.18 with 1 %.
-_EXACT = 0.02
-_NOISY = 0.1  # spacings: 0.03 and 0.07 on clean and even ones, 0.17 with 1 %, 0.27 with 2 %
+# to 0.002 on clean and even validation inputs, to 0.023 on random ones, 0.04 to 0.18 with 1 %.
+_EXACT = 0.03
+# Spacings: even validation inputs with 1 % of noise have 0.11 to 0.28, with 2 % 0.2 to 0.4. Without
+# any most have less, but much detail makes up to 0.22.
+_NOISY = 0.1
 _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
 _NONE = np.empty((0, 0), dtype=np.int32)
 
@@ -146,13 +153,47 @@ def prepare(tile: Tile) -> Job:
         for start, stop in itertools.pairwise(ends)
     ]
     return Job(
-        tile, tile.cloud.take(order), order, order < tile.core, points, neighbours, frames, patches
+        tile,
+        tile.cloud.take(order),
+        order,
+        order < tile.core,
+        points,
+        neighbours,
+        frames,
+        patches,
+        frames.noise,
     )
+
+
+def noisy(job: Job) -> bool:
+    """Whether the input's points may be off the surface and are free to move."""
+    return job.noise > _NOISY and not job.tile.keeps_input
 
 
 def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
     """The network: charts of a patch and what they propose. Runs on workers."""
     return model.charts(patch, candidates)
+
+
+def own_spots(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
+    """The input's points, in parcels with the charts they land on."""
+    rows = np.arange(len(job.points), dtype=np.int32)
+    return _parcels(job, bind(charts), job.points, rows)
+
+
+def denoise(job: Job, landed: Sequence[Landed]) -> Job:
+    """Prepare a noisy input anew, from where its points landed.
+
+    Neighbours, frames and quadrics of points near the surface say more than those of noisy ones.
+    What hardly moves is detail and no noise: its job stays as it is.
+    """
+    own = Landed.join(landed)
+    if _exact(job, own):
+        return job
+    points = np.empty_like(job.points)
+    points[job.order] = own.points
+    again = prepare(replace(job.tile, points=points, noise=None))
+    return replace(again, noise=job.noise, denoised=True)
 
 
 def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
@@ -190,9 +231,8 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
     new = Landed.join(
         [part.take(slice(n, None)) for part, n in zip(candidates, leads, strict=True)]
     )
-    moved = np.linalg.norm(own.points - job.points, axis=1) / job.frames.spacing
     pinned = None
-    if job.tile.keeps_input or np.median(moved) < _EXACT:
+    if job.tile.keeps_input or (_exact(job, own) and not job.denoised):
         pinned = job.points, own.normals
     stay, spots, owner = place(
         new.points,
@@ -209,6 +249,12 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
     )
     own_parcels = _parcels(job, atlas, job.points[stay], stay, fixed=True) if len(stay) else []
     return own_parcels + _parcels(job, atlas, spots, owner)
+
+
+def _exact(job: Job, own: Landed) -> bool:
+    """Whether the input's points were on the surface, by how little they move when they land."""
+    moved = np.linalg.norm(own.points - job.points, axis=1) / job.frames.spacing
+    return bool(np.median(moved) < _EXACT)
 
 
 def _parcels(
@@ -234,8 +280,8 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
         # The input's points lead; they landed in the order of the patches.
         own = np.argsort(job.order[job.core])
         landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
-    elif job.frames.noise > _NOISY:
-        share = shares(job.frames.spacing, job.neighbours)
+    share = shares(job.frames.spacing, job.neighbours)
+    if job.noise > _NOISY and not tile.keeps_input:
         evened = even_out(
             landed.points, landed.normals, landed.nearest, share, job.neighbours, job.core
         )
@@ -261,28 +307,48 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     dense = Cloud(placement.world(landed.points), normals, colors, scalars)
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
-    return Piece(dense, parts, sides, job.frames.noise)
+    rim = None if job.core.all() else _rim(job, landed, share)
+    return Piece(dense, parts, Border(sides, rim), job.noise, placement)
 
 
-def agree(sides: Sequence[Sides | None]) -> list[Signs]:
-    """Signs of each tile's parts, by which the normals of all point outward together."""
-    known = [side for side in sides if side is not None]
-    return list(signs_of_parts(known)) if known else [None] * len(sides)
+def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
+    """The points whose charts have some of other tiles around them, or are such themselves."""
+    inside = job.core & job.core[job.neighbours].all(axis=1)
+    rows = np.flatnonzero(~inside[landed.nearest])
+    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[landed.nearest[rows]]
+    if job.tile.keeps_input:
+        reach[rows < job.tile.core] = 0.0
+    return Rim(rows, landed.points[rows], landed.normals[rows], reach)
 
 
-def turn(piece: Piece, signs: Signs) -> Cloud:
-    """Return the points of a tile, their normals' signs final."""
-    if signs is None:
-        return piece.cloud
-    assert piece.cloud.normals is not None
-    normals = piece.cloud.normals * signs[piece.parts, None].astype(np.float32)
-    return replace(piece.cloud, normals=normals)
+def agree(borders: Sequence[Border]) -> list[Agreed]:
+    """Let normals of all tiles point outward together, and no two of them share a spot."""
+    sides = [border.sides for border in borders if border.sides is not None]
+    rims = [border.rim for border in borders if border.rim is not None]
+    signs = signs_of_parts(sides) if sides else [None] * len(borders)
+    places = part(rims) if rims else [None] * len(borders)
+    return [Agreed(*both) for both in zip(signs, places, strict=True)]
+
+
+def settle(piece: Piece, agreed: Agreed) -> Cloud:
+    """Return the points of a tile, final with their normals' signs."""
+    cloud, rim = piece.cloud, piece.border.rim
+    if rim is not None and agreed.rim is not None:
+        moves = rim.reach > 0.0
+        points = cloud.points.copy()
+        points[rim.rows[moves]] = piece.placement.world(agreed.rim[moves])
+        cloud = replace(cloud, points=points)
+    if agreed.signs is not None:
+        assert cloud.normals is not None
+        normals = cloud.normals * agreed.signs[piece.parts, None].astype(np.float32)
+        cloud = replace(cloud, normals=normals)
+    return cloud
 
 
 def assemble(plan: Plan, pieces: Sequence[Piece]) -> Result:
     """All tiles' points as one cloud."""
-    signs = agree([piece.sides for piece in pieces])
-    clouds = [turn(piece, sign) for piece, sign in zip(pieces, signs, strict=True)]
+    agreed = agree([piece.border for piece in pieces])
+    clouds = [settle(*both) for both in zip(pieces, agreed, strict=True)]
     dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
     if not plan.tiles_in_order:
         dense = dense.take(_input_first(plan.cuts))

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.finish.joining import Sides
+from pugeo_model.finish.seams import Rim
 from pugeo_model.geometry.frames import Frames
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.normalise import Placement
 from pugeo_model.options import Options
 from pugeo_model.tiles import Cut, Tile
 
-__all__ = ["Job", "Piece", "Plan", "Result"]
+__all__ = ["Agreed", "Border", "Job", "Piece", "Plan", "Result"]
 
 _OVERSAMPLE = 1.5  # candidates a point wanted
 _FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
@@ -105,6 +106,8 @@ class Job:
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one a point.
         patches: the units of work; their cores partition the points.
+        noise: of the input as it came, see `noise_level`.
+        denoised: the points are where those of a noisy input landed.
     """
 
     tile: Tile
@@ -115,6 +118,8 @@ class Job:
     neighbours: NDArray[np.int32]
     frames: Frames
     patches: list[Patch]
+    noise: float
+    denoised: bool = False
 
     @property
     def candidates(self) -> int:
@@ -128,6 +133,19 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
+class Border:
+    """What tiles have to know of each other: little, so that only it travels.
+
+    Attributes:
+        sides: what the tile knows of the signs of its normals, ``None`` where these are final.
+        rim: the points next to other tiles, ``None`` of a cloud in one piece.
+    """
+
+    sides: Sides | None
+    rim: Rim | None
+
+
+@dataclass(frozen=True, eq=False)
 class Piece:
     """The dense points of a tile's core.
 
@@ -135,14 +153,29 @@ class Piece:
         cloud: in the cloud's own frame and units.
         parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
             signs are final.
-        sides: what the tile knows of its parts, where they are not.
+        border: what the other tiles have to know of it.
         noise: of its input, see `noise_level`.
+        placement: of the cloud.
     """
 
     cloud: Cloud
     parts: NDArray[np.int32] | None
-    sides: Sides | None
+    border: Border
     noise: float
+    placement: Placement
+
+
+@dataclass(frozen=True, eq=False)
+class Agreed:
+    """What a tile is told once all know of each other.
+
+    Attributes:
+        signs: of its parts, ``None`` where its normals are final.
+        rim: ``(k, 3)`` where the points of its rim lie, unit scale; ``None`` where they stay.
+    """
+
+    signs: NDArray[np.float64] | None
+    rim: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, eq=False)

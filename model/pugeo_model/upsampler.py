@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.patches import Patch
+from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
 from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
@@ -16,9 +18,12 @@ from pugeo_model.pipeline import (
     Plan,
     Result,
     assemble,
+    denoise,
     finish,
     land,
     merge,
+    noisy,
+    own_spots,
     predict,
     prepare,
     propose,
@@ -99,14 +104,21 @@ class Upsampler:
                 done.append(work(part))
             return done
 
+        def chart(patch: Patch) -> PatchCharts:
+            return predict(self.model, patch, job.candidates)
+
+        def put(landing: Landing) -> Landed:
+            return land(self.model, landing)
+
         tell("prepare")
         job = prepare(tile)
-        charts = spread(
-            "network", job.patches, lambda patch: predict(self.model, patch, job.candidates)
-        )
+        if noisy(job):
+            charts = spread("denoise", job.patches, chart)
+            job = denoise(job, spread("denoise", own_spots(job, charts), put))
+        charts = spread("network", job.patches, chart)
         tell("propose")
-        candidates = spread("land", propose(job, charts), lambda part: land(self.model, part))
+        candidates = spread("land", propose(job, charts), put)
         tell("merge")
-        points = spread("land", merge(job, charts, candidates), lambda part: land(self.model, part))
+        points = spread("land", merge(job, charts, candidates), put)
         tell("finish")
         return finish(job, points)

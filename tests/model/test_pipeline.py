@@ -9,9 +9,12 @@ from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
     assemble,
+    denoise,
     finish,
     land,
     merge,
+    noisy,
+    own_spots,
     predict,
     prepare,
     propose,
@@ -236,3 +239,40 @@ def test_points_of_a_clean_input_may_stay(upsampler, sphere):
         apart = np.min(cKDTree(dense).query(points[-1])[0])
         assert bool(apart < 1e-9) is stays
         assert evenness(dense) < 0.12
+
+
+def test_a_noisy_input_is_denoised_first(upsampler, sphere):
+    """Its job is prepared anew, from points nearer to the surface; the report tells of the input.
+
+    One without noise, or whose points are to stay, goes its way as it is.
+    """
+    points = sphere + np.random.default_rng(0).normal(size=sphere.shape, scale=0.02)
+    for cloud, keep, moves in (
+        (points, False, True),
+        (points, True, False),
+        (sphere, False, False),
+    ):
+        (tile,) = survey(Cloud(cloud), Options(4.0, keep_input=keep)).tiles
+        job = prepare(tile)
+        assert noisy(job) is moves
+        if moves:
+            charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
+            spots = own_spots(job, charts)
+            again = denoise(job, [land(upsampler.model, spot) for spot in spots])
+            placed = [tile.placement.world(each.points) for each in (job, again)]
+            off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in placed]
+            assert off[1] < 0.7 * off[0]
+            assert again.frames.noise < job.frames.noise == again.noise
+            assert upsampler(cloud, 4).report["noise"] == job.noise
+
+
+def test_detail_is_not_taken_for_noise(upsampler):
+    """What looks rough but lands where it is stays: a cloud too coarse for its folds."""
+    u, v = np.random.default_rng(0).random((2, 1500)) * 30
+    folds = np.column_stack([u, v, 0.8 * np.abs((u + 0.3 * v) % 4 - 2)])
+    (tile,) = survey(Cloud(folds), Options(4.0)).tiles
+    job = prepare(tile)
+    charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
+    again = denoise(job, [land(upsampler.model, spot) for spot in own_spots(job, charts)])
+    assert noisy(job)
+    assert again is job

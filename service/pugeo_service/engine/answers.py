@@ -20,11 +20,11 @@ __all__ = [
     "agree",
     "assemble",
     "at_once",
+    "border",
     "chunk",
     "describe_agreed",
     "describe_finished",
     "describe_written",
-    "sides",
     "write_tile",
 ]
 
@@ -36,18 +36,18 @@ def describe_finished(finished: Finished) -> float:
     return finished.seconds
 
 
-def sides(finished: Finished) -> Carried:
-    """Return what a tile says of the signs of its normals: little, so that only it travels."""
-    return Carried(finished.piece.sides)
+def border(finished: Finished) -> Carried:
+    """Return what a tile has to tell the others: little, so that only it travels."""
+    return Carried(finished.piece.border)
 
 
 def agree(prepared: Prepared, known: Sequence[Carried], answer: str) -> Agreed:
-    """Let the tiles agree on signs; ``known`` is what each of them says."""
+    """Let the tiles agree on their borders; ``known`` is what each of them says."""
     start = time.perf_counter()
     plan = prepared.plan
-    signs = pipeline.agree([said.value for said in known])
+    tiles = pipeline.agree([said.value for said in known])
     seconds = time.perf_counter() - start
-    return Agreed(signs, plan.n_out, answer, plan.told(plan.noise), seconds)
+    return Agreed(tiles, plan.n_out, answer, plan.told(plan.noise), seconds)
 
 
 def describe_agreed(agreed: Agreed) -> tuple[dict[str, Any], float]:
@@ -58,7 +58,7 @@ def describe_agreed(agreed: Agreed) -> tuple[dict[str, Any], float]:
 def write_tile(finished: Finished, agreed: Agreed, number: int) -> Written:
     """Return the part of the answer that a tile is; that of the first with what precedes rows."""
     start = time.perf_counter()
-    cloud = pipeline.turn(finished.piece, agreed.signs[number])
+    cloud = pipeline.settle(finished.piece, agreed.tiles[number])
     module = formats.BY_ROWS[agreed.answer]
     buffer = io.BytesIO()
     if number == 0:

@@ -96,6 +96,8 @@ class Flow:
             if sheet.chunks > 1:
                 written = self._tasks.submit("at_once", prepared)
         elif head.tiles == 1:
+            if head.noisy:
+                prepared = await self._denoised(prepared, size, seconds, batches)
             landed = await self._dense(prepared, size, seconds, batches)
             self._watcher.on_stage("finish")
             written, sheet = await self._tasks.step(
@@ -152,6 +154,8 @@ class Flow:
                 )
                 self._tasks.drop([tile])
                 _add(seconds, head.seconds)
+                if head.noisy:
+                    job = await self._denoised(job, head.patches, seconds, batches, where)
                 landed = await self._dense(job, head.patches, seconds, batches, where)
                 self._watcher.on_stage("finish")
                 pieces[number], spent = await self._tasks.step(
@@ -169,6 +173,29 @@ class Flow:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         return pieces
+
+    async def _denoised(
+        self,
+        prepared: Any,
+        size: int,
+        seconds: dict[str, float],
+        batches: list[tuple[float, int]],
+        where: Where = lambda: None,
+    ) -> Any:
+        """Land the points of a noisy cloud, and return the handle of what was prepared of them."""
+        began = time.perf_counter()
+        charted = await self._tasks.spread(size, size, "predict_part", prepared, where)
+        spots, (landings, _, ran) = await self._tasks.step(
+            size, "own_spots", "describe_merged", prepared, charted, place=where()
+        )
+        batches += ran
+        landed = await self._tasks.spread(size, landings, "land_part", spots, where)
+        again, _ = await self._tasks.step(
+            size, "denoise", "describe_prepared", prepared, landed, place=where()
+        )
+        _add(seconds, {"prepare": time.perf_counter() - began})
+        self._tasks.drop([prepared, *charted, spots, *landed])
+        return again
 
     async def _dense(
         self,
@@ -218,7 +245,7 @@ class Flow:
         batches: list[tuple[float, int]],
     ) -> Outcome:
         """Write the tiles one by one, each where it is, and bring them here in order."""
-        said = [self._tasks.submit("sides", piece) for piece in pieces]
+        said = [self._tasks.submit("border", piece) for piece in pieces]
         agreed, (report, spent) = await self._tasks.step(
             LARGE_PATCHES, "agree", "describe_agreed", prepared, said, self._order.answer
         )

@@ -63,6 +63,7 @@ class Head:
         by_rows: the answer can be written tile by tile.
         sheet: of the answer, where the cloud was so small that it is done already.
         batches: seconds and patches that the network took for it.
+        noisy: it is to be denoised before anything else.
     """
 
     patches: int
@@ -71,6 +72,7 @@ class Head:
     by_rows: bool = False
     sheet: "Sheet | None" = None
     batches: tuple[tuple[float, int], ...] = ()
+    noisy: bool = False
 
 
 @dataclass(frozen=True)

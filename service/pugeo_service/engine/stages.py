@@ -24,11 +24,11 @@ from pugeo_service.engine.answers import (
     agree,
     assemble,
     at_once,
+    border,
     chunk,
     describe_agreed,
     describe_finished,
     describe_written,
-    sides,
     write_tile,
 )
 from pugeo_service.engine.order import Head, Order
@@ -38,9 +38,11 @@ __all__ = [
     "agree",
     "assemble",
     "at_once",
+    "border",
     "chunk",
     "cut_patches",
     "cut_tile",
+    "denoise",
     "describe_agreed",
     "describe_finished",
     "describe_merged",
@@ -51,12 +53,12 @@ __all__ = [
     "land_part",
     "load_model",
     "merge",
+    "own_spots",
     "predict",
     "predict_part",
     "prepare",
     "prepare_tile",
     "propose",
-    "sides",
     "write_tile",
 ]
 
@@ -91,6 +93,12 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
 
 def _at_once(prepared: Prepared, order: Order) -> Prepared:
     """Go all the way: passing it on would take longer than the work, or gain nothing."""
+    if pipeline.noisy(prepared.job):
+        charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
+        spots = own_spots(prepared, [charted])
+        again = denoise(prepared, [land(spots.landings, order.model)])
+        spent = prepared.seconds["prepare"] + charted.seconds + again.seconds["prepare"]
+        prepared = replace(again, seconds={**prepared.seconds, "prepare": spent})
     charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
     proposed = propose(prepared, [charted])
     start = time.perf_counter()
@@ -116,7 +124,8 @@ def describe_prepared(prepared: Prepared) -> Head:
     patches = plan.report["patches"] if job is None else len(job.patches)
     tiles = 1 if job is not None else len(plan.cuts)
     sheet = None if prepared.written is None else describe_written(prepared.written)
-    return Head(patches, tiles, prepared.seconds, prepared.by_rows, sheet, prepared.batches)
+    noisy = job is not None and sheet is None and pipeline.noisy(job)
+    return Head(patches, tiles, prepared.seconds, prepared.by_rows, sheet, prepared.batches, noisy)
 
 
 def cut_tile(prepared: Prepared, number: int) -> Carried:
@@ -147,6 +156,21 @@ def predict(part: Cut, model: str) -> Charted:
 def predict_part(prepared: Prepared, start: int, stop: int, model: str) -> Charted:
     """Run patches through the network where they are."""
     return predict(cut_patches(prepared, start, stop), model)
+
+
+def own_spots(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
+    """Gather the input's points; ``batches`` are in the order of the patches."""
+    start = time.perf_counter()
+    landings = pipeline.own_spots(prepared.job, [chart for b in batches for chart in b.charts])
+    sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
+    return Merged(landings, time.perf_counter() - start, sizes)
+
+
+def denoise(prepared: Prepared, batches: Sequence[list[Any]]) -> Prepared:
+    """Prepare a noisy cloud, or tile, anew from where its points landed."""
+    start = time.perf_counter()
+    job = pipeline.denoise(prepared.job, [landed for batch in batches for landed in batch])
+    return replace(prepared, job=job, seconds={"prepare": time.perf_counter() - start})
 
 
 def propose(prepared: Prepared, batches: Sequence[Charted]) -> Merged:

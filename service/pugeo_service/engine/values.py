@@ -84,14 +84,14 @@ class Agreed:
     """What the tiles of a cloud need to know before they can be written one by one.
 
     Attributes:
-        signs: of the normals, an entry a tile.
+        tiles: what each of them was told.
         count: points of the whole answer.
         answer: its format.
         report: what happened.
         seconds: that it took.
     """
 
-    signs: list[Any]
+    tiles: list[Any]
     count: int
     answer: str
     report: dict[str, Any]

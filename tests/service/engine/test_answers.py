@@ -10,7 +10,7 @@ from pugeo_model import formats, pipeline, weights
 from pugeo_model.cloud import Cloud
 from pugeo_model.options import Options
 from pugeo_service.engine import stages
-from pugeo_service.engine.answers import agree, assemble, sides, write_tile
+from pugeo_service.engine.answers import agree, assemble, border, write_tile
 from pugeo_service.engine.sample import sample_order
 from pugeo_service.engine.values import Finished, Prepared
 
@@ -44,7 +44,7 @@ def test_tile_by_tile_or_together(orient: str) -> None:
     """The bytes are those of the whole, in each format that is written tile by tile."""
     prepared, tiles = in_tiles(sphere({"time": np.arange(3000.0)}), orient=orient)
     for answer in ("ply", "ply-ascii", "xyz"):
-        agreed = agree(prepared, [sides(tile) for tile in tiles], answer)
+        agreed = agree(prepared, [border(tile) for tile in tiles], answer)
         rows = [write_tile(tile, agreed, number).data for number, tile in enumerate(tiles)]
         whole = assemble(prepared, tiles, answer)
         assert np.array_equal(np.concatenate(rows), whole.data)

@@ -178,7 +178,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert data == 5 * b"012"
     assert not pool.of("assemble")
     (agreed,) = pool.of("agree")
-    assert [said.stage for said in agreed.args[1]] == ["sides"] * 5
+    assert [said.stage for said in agreed.args[1]] == ["border"] * 5
     written = pool.of("write_tile")
     assert [handle.args[0].args[0].args[0].args[1] for handle in written] == list(range(5))
     assert all(handle.args[1] is agreed for handle in written)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A noisy cloud on its way through the engine."""
+
+import asyncio
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from pugeo_model import Cloud, formats, tiles
+from pugeo_model.upsampler import Upsampler
+from pugeo_service.engine import Engine
+from pugeo_service.engine.order import InMemory
+from pugeo_service.engine.sample import sample_order
+from pugeo_service.settings import Settings
+
+pytestmark = pytest.mark.slow
+
+ORDER = replace(
+    sample_order("standard", deadline_s=60.0), max_points=10_000, max_output_points=20_000
+)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Cloud:
+    """A sphere of 6,000 points, off by half of their spacing."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(6000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return Cloud((points + rng.normal(size=points.shape, scale=0.02)).astype(np.float32))
+
+
+def ignore(_: int) -> None:
+    """What is told on the way matters elsewhere."""
+
+
+def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
+    """Points of the engine's answer."""
+    body = io.BytesIO()
+    formats.write(cloud, body, format="ply")
+    order = replace(ORDER, at_once_patches=at_once)
+
+    async def whole() -> bytes:
+        engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path))
+        await engine.start()
+        try:
+            data = InMemory(np.frombuffer(body.getvalue(), np.uint8))
+            outcome = await engine.run(data, order, on_patches=ignore, on_done=ignore)
+            with outcome.spool as spool:
+                return (await spool.read()).tobytes()
+        finally:
+            await engine.stop()
+
+    return formats.read(io.BytesIO(asyncio.run(whole())), format="ply").points
+
+
+@pytest.mark.parametrize(
+    ("at_once", "tile"), [(9, None), (1, None), (1, 2500)], ids=["at once", "in parts", "in tiles"]
+)
+def test_the_service_denoises_as_the_library_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noisy: Cloud, at_once: int, tile: int | None
+) -> None:
+    """To the last bit, whatever way the cloud goes; and the points do get nearer to the surface."""
+    if tile:
+        monkeypatch.setattr(tiles, "_FEWEST", tile)
+        monkeypatch.setattr(tiles, "_MOST", tile)
+    torch.set_num_threads(1)
+    wanted = Upsampler()(noisy, 2.0)
+    assert wanted.report["noise"] > 0.1
+    assert wanted.report["tiles"] == (3 if tile else 1)
+    found = answer(noisy, at_once, tmp_path)
+    np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
+    off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in (noisy.points, found)]
+    assert off[1] < 0.4 * off[0]
