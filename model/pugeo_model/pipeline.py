@@ -292,7 +292,8 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     if tile.orient == "mst":
         sides = take_sides(tile.rows[job.order], job.core, job.points, axes, graph)
         normals = propagate(landed.normals, landed.nearest, sides.normals)
-        parts = sides.parts[landed.nearest].astype(np.int32)
+        # There are few, and the points of a large cloud are many.
+        parts = sides.parts.astype(np.min_scalar_type(sides.parts.max()))[landed.nearest]
     elif tile.orient == "input":
         signs, _ = orient(job.points, axes, "input", None, cloud.normals, graph)
         normals = propagate(landed.normals, landed.nearest, signs)
@@ -318,7 +319,7 @@ def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
     reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[landed.nearest[rows]]
     if job.tile.keeps_input:
         reach[rows < job.tile.core] = 0.0
-    return Rim(rows, landed.points[rows], landed.normals[rows], reach)
+    return Rim(rows.astype(np.int32), landed.points[rows], landed.normals[rows], reach)
 
 
 def agree(borders: Sequence[Border]) -> list[Agreed]:

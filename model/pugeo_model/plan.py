@@ -159,7 +159,7 @@ class Piece:
     """
 
     cloud: Cloud
-    parts: NDArray[np.int32] | None
+    parts: NDArray[np.integer[Any]] | None
     border: Border
     noise: float
     placement: Placement

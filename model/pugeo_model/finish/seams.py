@@ -18,8 +18,9 @@ from pugeo_model.merge.repulsion import repel
 
 __all__ = ["Rim", "part"]
 
-_CLOSE = 0.8  # reaches: points of one tile are rarely nearer
+_CLOSE = 0.8  # reaches: points of one tile are rarely nearer, so who is nearer is the nearest
 _AROUND = 1.5  # reaches around such a point within which the others make room
+_SEEN = 3.0  # reaches within which there may be who pushes them
 _NEIGHBOURS = 14
 _ROUNDS = 6
 
@@ -29,13 +30,13 @@ class Rim:
     """The ``k`` points of a tile that lie along its border.
 
     Attributes:
-        rows: ``(k,)`` int64, rows of the tile's answer.
+        rows: ``(k,)`` int32, rows of the tile's answer.
         points: ``(k, 3)`` float64, unit scale of the whole cloud.
         normals: ``(k, 3)`` float32 unit.
         reach: ``(k,)`` float64, distance of neighbours in the packing aimed at; 0 of who stays.
     """
 
-    rows: NDArray[np.int64]
+    rows: NDArray[np.int32]
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
     reach: NDArray[np.float64]
@@ -43,23 +44,37 @@ class Rim:
 
 def part(rims: Sequence[Rim]) -> list[NDArray[np.float64]]:
     """Where the points of each rim lie once none of two tiles are too close: ``(k, 3)`` each."""
-    points = np.concatenate([rim.points for rim in rims])
+    points, normals, reach = (
+        np.concatenate([getattr(rim, name) for rim in rims])
+        for name in ("points", "normals", "reach")
+    )
     sizes = [len(rim.points) for rim in rims]
-    tile = np.repeat(np.arange(len(rims)), sizes)
-    if len(points) <= _NEIGHBOURS:
-        return [rim.points for rim in rims]
-    reach = np.concatenate([rim.reach for rim in rims])
-    tree = cKDTree(points)
-    distance, near = knn(tree, points, _NEIGHBOURS + 1)
-    distance, near = distance[:, 1:], near[:, 1:]
-    # Who stays has no reach: its neighbours' counts.
-    widest = np.maximum(reach, reach[near].max(axis=1))
-    others = (tile[near] != tile[:, None]) & (distance < _CLOSE * widest[:, None])
-    close = np.flatnonzero(others.any(axis=1))
+    if len(points) > 1:
+        tile = np.repeat(np.arange(len(rims)), sizes)
+        some, push, lists = _crowded(points, reach, tile)
+        if len(some):
+            points[some] = repel(points[some], normals[some], lists, push, _ROUNDS)
+    return np.split(points, np.cumsum(sizes)[:-1])
+
+
+def _crowded(
+    points: NDArray[np.float64], reach: NDArray[np.float64], tile: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
+    """Rows of the points around those too close to one of another tile; how they push and whom.
+
+    They are few, so that most are asked for no neighbour but their nearest.
+    """
+    distance, near = knn(cKDTree(points), points, 2)
+    # Not always the second: of two on one spot either may come first.
+    other = np.where(near[:, 0] == np.arange(len(points)), near[:, 1], near[:, 0])
+    # Who stays has no reach: that of the next counts.
+    local = np.maximum(reach, reach[other])
+    close = np.flatnonzero((tile[other] != tile) & (distance[:, 1] < _CLOSE * local))
     if not len(close):
-        return [rim.points for rim in rims]
-    around, _ = cKDTree(points[close]).query(points)
-    push = np.where(around < _AROUND * widest, reach, 0.0)
-    normals = np.concatenate([rim.normals for rim in rims])
-    moved = repel(points, normals, near.astype(np.int32), push, _ROUNDS)
-    return np.split(moved, np.cumsum(sizes)[:-1])
+        return close, np.empty(0), np.empty((0, 0), dtype=np.int32)
+    apart, which = knn(cKDTree(points[close]), points, 1, _SEEN * reach.max())
+    apart, local = apart[:, 0], np.maximum(local, np.append(local[close], 0.0)[which[:, 0]])
+    some = np.flatnonzero(apart < _SEEN * local)
+    push = np.where(apart[some] < _AROUND * local[some], reach[some], 0.0)
+    _, lists = knn(cKDTree(points[some]), points[some], min(_NEIGHBOURS + 1, len(some)))
+    return some, push, lists[:, 1:].astype(np.int32)

@@ -16,7 +16,7 @@ from typing import Any
 __all__ = ["give_back_freed_memory", "keep_freed_memory"]
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
-_KEPT = 1 << 28  # bytes at the end of the heap that stay with the process: no layer needs more
+_KEPT = 1 << 26  # bytes at the end of the heap that stay with the process: no layer needs more
 _LARGEST = 1 << 30
 
 _COMPILED = "512"  # several times what one large cloud needs
