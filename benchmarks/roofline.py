@@ -7,6 +7,7 @@ lower the share of the core's rate that is reached, as they should. The rows of 
 which its neighbours compute as well, are counted as work.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -28,11 +29,20 @@ from pugeo_model.pipeline import prepare, survey
 __all__ = ["work"]
 
 
+def _layer_flops(rows: Sequence[int], weight: Sequence[int], *_: object, **__: object) -> int:
+    """Operations of a layer that oneDNN does in one pass; torch's counter knows its own alone."""
+    return 2 * math.prod(rows) * weight[0]
+
+
+_LAYERS = {torch.ops.mkldnn._linear_pointwise: _layer_flops}  # noqa: SLF001  # as the network calls it
+
+
 class _Traffic(TorchDispatchMode):
     """Counts the bytes of every operation's tensors: what it reads once, what it writes once.
 
     Caches are not modelled, and neither is what an operation moves within itself: two layers in a
-    row count their common tensor twice even where it never left the cache.
+    row count their common tensor twice even where it never left the cache. What is compiled and no
+    operation of torch's, sums over edges and their pools, is not seen.
     """
 
     def __init__(self) -> None:
@@ -73,7 +83,7 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
             charts += patch.core
             run = _forward(model, patch, job.candidates)
             # One after the other: the first takes operations apart that the second shall see whole.
-            with torch.inference_mode(), FlopCounterMode(display=False) as counter:
+            with torch.inference_mode(), _counter() as counter:
                 run()
             flops += counter.get_total_flops()  # which starts from 0 each time it is entered
             with torch.inference_mode(), traffic:
@@ -84,6 +94,10 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
         bytes=traffic.bytes / charts,
         kind="bf16" if bfloat16_pays() else "fp32",
     )
+
+
+def _counter() -> FlopCounterMode:
+    return FlopCounterMode(display=False, custom_mapping=_LAYERS)
 
 
 def _forward(model: Model, patch: Patch, candidates: int) -> Callable[[], object]:

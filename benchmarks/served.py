@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--ratio R]``.
+"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--workers 2 1]``.
 
 A service of two workers and one of a single worker are started one after the other on all cores of
 this process: how soon they are ready, how soon a small cloud comes back when nobody else is there,
@@ -60,10 +60,11 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=1_000_000, help="of the large cloud")
     parser.add_argument("--ratio", type=float, default=8.0, help="of the large cloud")
     parser.add_argument("--model", default="standard", help="name or path of the weights")
+    parser.add_argument("--workers", type=int, nargs="+", default=[2, 1], help="of each service")
     options = parser.parse_args()
     print("\n".join(table(("", ""), describe(None, options.model))), end="\n\n")
     cloud = _even(options.points)
-    seen = {workers: _seen(workers, cloud, options) for workers in (2, 1)}
+    seen = {workers: _seen(workers, cloud, options) for workers in options.workers}
     rows = [
         (
             str(workers),
@@ -87,14 +88,23 @@ def main() -> None:
         "at most",
     )
     print("\n".join(table(header, rows)))
-    two, one = seen[2], seen[1]
-    print(f"\nTwo workers to one: {two.many / one.many:.2f}, {two.large / one.large:.2f}.")
+    if {1, 2} <= set(seen):
+        two, one = seen[2], seen[1]
+        print(f"\nTwo workers to one: {two.many / one.many:.2f}, {two.large / one.large:.2f}.")
 
 
 def _seen(workers: int, cloud: NDArray[np.float32], options: argparse.Namespace) -> Seen:
     print(f"measuring with {workers} workers ...", file=sys.stderr, flush=True)
     began = time.monotonic()
-    environment = {"PUGEO_WORKERS": str(workers), "PUGEO_MODEL": options.model}
+    environment = {
+        "PUGEO_WORKERS": str(workers),
+        "PUGEO_MODEL": options.model,
+        # The large cloud may be beyond what a service takes by default.
+        "PUGEO_MAX_POINTS": str(options.points),
+        "PUGEO_MAX_OUTPUT_POINTS": str(int(options.points * options.ratio)),
+        "PUGEO_QUEUE_PATCHES": str(options.points),
+        "PUGEO_DEADLINE_S": str(_PATIENCE_S),
+    }
     with served(**environment) as server, Client(server.url, timeout=_PATIENCE_S) as client:
         ready = time.monotonic() - began
         small = _even(_SMALL)

@@ -29,13 +29,13 @@ def test_products_of_a_chart() -> None:
     options = dict(architecture.options)
     f, w, e = architecture.features, options["width"], options["edge_width"]
     head, candidates, rounds = architecture.head, 6, len(MESSAGES)
-    neighbours = NEIGHBOURS * (EDGE * e + e * e + e)  # two layers, and the mean
+    neighbours = NEIGHBOURS * (EDGE * e + e * e)  # two layers; pools are no products
     neighbours += SCALES * e * SCALES + (SCALES * e + SCALARS) * w
     wide = 2 * w * w + 3 * w * w + 2 * options["expansion"] * w * w
-    messages = rounds * (MESSAGE * (POSE * w + w * w + w) + wide)
+    messages = rounds * (MESSAGE * (POSE * w + w * w) + wide)
     outwards = (rounds + 1) * w * (rounds + 1 + f)
     heads = f * (2 + head + 6 + 4 + head // 2)
-    samples = candidates * ((head // 2) ** 2 + 2 * head // 2 + 2 * 2)
+    samples = candidates * ((head // 2) ** 2 + 2 * head // 2)
     once = candidates * 4 * head // 2 / 600  # what the samples' pattern costs, all charts together
     exact = neighbours + messages + outwards + heads + samples + once
 
