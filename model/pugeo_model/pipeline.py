@@ -314,12 +314,15 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
 
 def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
     """The points whose charts have some of other tiles around them, or are such themselves."""
-    inside = job.core & job.core[job.neighbours].all(axis=1)
-    rows = np.flatnonzero(~inside[landed.nearest])
-    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[landed.nearest[rows]]
+    inside = job.core[job.neighbours]
+    around = job.core & inside.all(axis=1)
+    rows = np.flatnonzero(~around[landed.nearest])
+    owner = landed.nearest[rows]
+    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[owner]
     if job.tile.keeps_input:
         reach[rows < job.tile.core] = 0.0
-    return Rim(rows.astype(np.int32), landed.points[rows], landed.normals[rows], reach)
+    outermost = ~(job.core & inside[:, :_TREE].all(axis=1))[owner]
+    return Rim(rows.astype(np.int32), landed.points[rows], landed.normals[rows], reach, outermost)
 
 
 def agree(borders: Sequence[Border]) -> list[Agreed]:

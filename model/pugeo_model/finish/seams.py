@@ -34,42 +34,49 @@ class Rim:
         points: ``(k, 3)`` float64, unit scale of the whole cloud.
         normals: ``(k, 3)`` float32 unit.
         reach: ``(k,)`` float64, distance of neighbours in the packing aimed at; 0 of who stays.
+        outermost: ``(k,)`` which may have one of another tile as their nearest.
     """
 
     rows: NDArray[np.int32]
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
     reach: NDArray[np.float64]
+    outermost: NDArray[np.bool_]
 
 
 def part(rims: Sequence[Rim]) -> list[NDArray[np.float64]]:
     """Where the points of each rim lie once none of two tiles are too close: ``(k, 3)`` each."""
-    points, normals, reach = (
+    points, normals, reach, outermost = (
         np.concatenate([getattr(rim, name) for rim in rims])
-        for name in ("points", "normals", "reach")
+        for name in ("points", "normals", "reach", "outermost")
     )
     sizes = [len(rim.points) for rim in rims]
     if len(points) > 1:
         tile = np.repeat(np.arange(len(rims)), sizes)
-        some, push, lists = _crowded(points, reach, tile)
+        some, push, lists = _crowded(points, reach, tile, np.flatnonzero(outermost))
         if len(some):
             points[some] = repel(points[some], normals[some], lists, push, _ROUNDS)
     return np.split(points, np.cumsum(sizes)[:-1])
 
 
 def _crowded(
-    points: NDArray[np.float64], reach: NDArray[np.float64], tile: NDArray[np.int64]
+    points: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    tile: NDArray[np.int64],
+    outermost: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
     """Rows of the points around those too close to one of another tile; how they push and whom.
 
-    They are few, so that most are asked for no neighbour but their nearest.
+    They are few, so that most are asked for no neighbour at all.
     """
-    distance, near = knn(cKDTree(points), points, 2)
+    distance, near = knn(cKDTree(points), points[outermost], 2)
     # Not always the second: of two on one spot either may come first.
-    other = np.where(near[:, 0] == np.arange(len(points)), near[:, 1], near[:, 0])
+    other = np.where(near[:, 0] == outermost, near[:, 1], near[:, 0])
     # Who stays has no reach: that of the next counts.
-    local = np.maximum(reach, reach[other])
-    close = np.flatnonzero((tile[other] != tile) & (distance[:, 1] < _CLOSE * local))
+    local = reach.copy()
+    local[outermost] = np.maximum(reach[outermost], reach[other])
+    foreign = tile[other] != tile[outermost]
+    close = outermost[foreign & (distance[:, 1] < _CLOSE * local[outermost])]
     if not len(close):
         return close, np.empty(0), np.empty((0, 0), dtype=np.int32)
     apart, which = knn(cKDTree(points[close]), points, 1, _SEEN * reach.max())

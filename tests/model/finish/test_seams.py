@@ -22,7 +22,8 @@ def rim(points, stays=()):
     reach = np.ones(len(points))
     reach[list(stays)] = 0.0
     normals = np.broadcast_to(NORMAL, points.shape).astype(np.float32)
-    return Rim(np.arange(len(points), dtype=np.int32), points, normals, reach)
+    outermost = np.ones(len(points), dtype=np.bool_)
+    return Rim(np.arange(len(points), dtype=np.int32), points, normals, reach, outermost)
 
 
 def closest(points):
