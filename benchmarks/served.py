@@ -100,9 +100,9 @@ def _seen(workers: int, cloud: NDArray[np.float32], options: argparse.Namespace)
         "PUGEO_WORKERS": str(workers),
         "PUGEO_MODEL": options.model,
         # The large cloud may be beyond what a service takes by default.
-        "PUGEO_MAX_POINTS": str(options.points),
-        "PUGEO_MAX_OUTPUT_POINTS": str(int(options.points * options.ratio)),
-        "PUGEO_QUEUE_PATCHES": str(options.points),
+        "PUGEO_MAX_POINTS": str(options.points + _EACH + 7 * _REQUESTS),
+        "PUGEO_MAX_OUTPUT_POINTS": str(32 * (options.points + _EACH + 7 * _REQUESTS)),
+        "PUGEO_QUEUE_PATCHES": str(options.points + _EACH),
         "PUGEO_DEADLINE_S": str(_PATIENCE_S),
     }
     with served(**environment) as server, Client(server.url, timeout=_PATIENCE_S) as client:

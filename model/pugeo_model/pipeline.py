@@ -4,10 +4,10 @@
     plan       = survey(cloud, options)
     for tile in plan.tiles:                       # one, unless the cloud is large
         job        = prepare(tile)
-        if noisy(job):                            # once more, from where its points belong
-            charts = [predict(model, patch, job.candidates) for patch in job.patches]
-            job    = denoise(job, [land(model, parcel) for parcel in own_spots(job, charts)])
         charts     = [predict(model, patch, job.candidates) for patch in job.patches]
+        if noisy(job):                            # once more, from where its points belong
+            job    = denoise(job, [land(model, parcel) for parcel in own_spots(job, charts)])
+            charts = [predict(model, patch, job.candidates) for patch in job.patches]
         candidates = [land(model, parcel) for parcel in propose(job, charts)]
         points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
         piece      = finish(job, points)
@@ -166,8 +166,8 @@ def prepare(tile: Tile) -> Job:
 
 
 def noisy(job: Job) -> bool:
-    """Whether the input's points may be off the surface and are free to move."""
-    return job.noise > _NOISY and not job.tile.keeps_input
+    """Whether the input's points may be off the surface, are free to move, and have not yet."""
+    return job.noise > _NOISY and not job.tile.keeps_input and not job.denoised
 
 
 def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
@@ -185,7 +185,7 @@ def denoise(job: Job, landed: Sequence[Landed]) -> Job:
     """Prepare a noisy input anew, from where its points landed.
 
     Neighbours, frames and quadrics of points near the surface say more than those of noisy ones.
-    What hardly moves is detail and no noise: its job stays as it is.
+    What hardly moves is detail and no noise: its job stays as it is, and so do its charts.
     """
     own = Landed.join(landed)
     if _exact(job, own):
@@ -280,8 +280,8 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
         # The input's points lead; they landed in the order of the patches.
         own = np.argsort(job.order[job.core])
         landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
-    share = shares(job.frames.spacing, job.neighbours)
-    if job.noise > _NOISY and not tile.keeps_input:
+    elif job.denoised:
+        share = shares(job.frames.spacing, job.neighbours)
         evened = even_out(
             landed.points, landed.normals, landed.nearest, share, job.neighbours, job.core
         )
@@ -308,17 +308,18 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     dense = Cloud(placement.world(landed.points), normals, colors, scalars)
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
-    rim = None if job.core.all() else _rim(job, landed, share)
+    rim = None if job.core.all() else _rim(job, landed)
     return Piece(dense, parts, Border(sides, rim), job.noise, placement)
 
 
-def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
+def _rim(job: Job, landed: Landed) -> Rim:
     """The points whose charts have some of other tiles around them, or are such themselves."""
     inside = job.core[job.neighbours]
     around = job.core & inside.all(axis=1)
     rows = np.flatnonzero(~around[landed.nearest])
     owner = landed.nearest[rows]
-    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[owner]
+    share = shares(job.frames.spacing, job.neighbours) * (job.tile.core / job.tile.n_out)
+    reach = reach_of_share(share)[owner]
     if job.tile.keeps_input:
         reach[rows < job.tile.core] = 0.0
     outermost = ~(job.core & inside[:, :_TREE].all(axis=1))[owner]
@@ -326,11 +327,12 @@ def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
 
 
 def agree(borders: Sequence[Border]) -> list[Agreed]:
-    """Let normals of all tiles point outward together, and no two of them share a spot."""
+    """Let normals of all tiles point outward together, and part points that share a spot."""
     sides = [border.sides for border in borders if border.sides is not None]
-    rims = [border.rim for border in borders if border.rim is not None]
     signs = signs_of_parts(sides) if sides else [None] * len(borders)
-    places = part(rims) if rims else [None] * len(borders)
+    # A part of the cloud that stands apart may be a tile by itself, without a rim.
+    parted = iter(part([border.rim for border in borders if border.rim is not None]))
+    places = [None if border.rim is None else next(parted) for border in borders]
     return [Agreed(*both) for both in zip(signs, places, strict=True)]
 
 

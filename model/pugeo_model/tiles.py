@@ -65,7 +65,8 @@ class Tile:
         n_out: points of the answer that the tile gives.
         candidates: candidates a chart.
         keeps_input: the points of the core come back themselves, and the rest is spread among them.
-        noise: of the whole cloud, see `noise_level`, or ``None`` where the tile is the whole.
+        noise: of the whole cloud, see `noise_level`, or ``None`` where the tile is to find out by
+            itself: it is the whole, or was denoised.
         placement: offset and scale taken out.
         orient: how normals get their signs, never ``auto``.
         viewpoint: in the cloud's own frame and units.

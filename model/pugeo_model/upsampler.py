@@ -112,10 +112,12 @@ class Upsampler:
 
         tell("prepare")
         job = prepare(tile)
-        if noisy(job):
-            charts = spread("denoise", job.patches, chart)
-            job = denoise(job, spread("denoise", own_spots(job, charts), put))
         charts = spread("network", job.patches, chart)
+        if noisy(job):
+            before = job
+            job = denoise(job, spread("denoise", own_spots(job, charts), put))
+            if job is not before:
+                charts = spread("network", job.patches, chart)
         tell("propose")
         candidates = spread("land", propose(job, charts), put)
         tell("merge")

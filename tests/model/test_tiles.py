@@ -95,6 +95,20 @@ def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
     assert off[1] < 1.05 * off[0] < 0.005
 
 
+def test_a_tile_without_neighbours(upsampler, ball):
+    """A part of the cloud that stands apart and is one tile has no border; the others have."""
+    apart = np.concatenate([0.4 * ball[::4], ball + [50.0, 0.0, 0.0]])
+    plan = survey(Cloud(apart), Options(2.0), 1000)
+    margins = [len(cut.rows) - cut.core for cut in plan.cuts]
+    assert min(margins) == 0 < max(margins)
+    dense = upsampler.upsample(plan).cloud
+    assert len(dense) == 10_000
+    near = dense.points[:, 0] < 25
+    centre = np.where(near[:, None], 0.0, [[50.0, 0.0, 0.0]])
+    radius = np.linalg.norm(dense.points - centre, axis=1)
+    assert np.abs(radius - np.where(near, 0.4, 1.0)).max() < 0.02
+
+
 @pytest.mark.parametrize("ratio", [1.0, 1.01, 2.5])
 def test_the_input_is_kept(upsampler, ball, ratio):
     """Bit for bit and in its order, whatever tile a point was in; the rest lies between."""

@@ -45,7 +45,13 @@ class Rim:
 
 
 def part(rims: Sequence[Rim]) -> list[NDArray[np.float64]]:
-    """Where the points of each rim lie once none of two tiles are too close: ``(k, 3)`` each."""
+    """Push points of two tiles apart that are too close, and what is around them out of the way.
+
+    Returns:
+        ``(k, 3)`` float64 of each rim; most are where they were.
+    """
+    if not rims:
+        return []
     points, normals, reach, outermost = (
         np.concatenate([getattr(rim, name) for rim in rims])
         for name in ("points", "normals", "reach", "outermost")
@@ -84,4 +90,5 @@ def _crowded(
     some = np.flatnonzero(apart < _SEEN * local)
     push = np.where(apart[some] < _AROUND * local[some], reach[some], 0.0)
     _, lists = knn(cKDTree(points[some]), points[some], min(_NEIGHBOURS + 1, len(some)))
-    return some, push, lists[:, 1:].astype(np.int32)
+    # Each is on its own list, which pushes it nowhere.
+    return some, push, lists.astype(np.int32)

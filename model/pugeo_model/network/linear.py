@@ -35,6 +35,7 @@ class Linear(nn.Linear):
         return result
 
     def _trained(self, rows: Tensor) -> Tensor:
+        """Torch's three passes: with gradients, and where the one pass is not to be had."""
         return super().forward(rows)
 
 
@@ -52,11 +53,24 @@ def serve(net: nn.Module) -> None:
 
     From then on, without gradients, they are taken as they are now.
     """
-    if _product is None or not torch.backends.mkldnn.is_available() or not bfloat16_pays():
+    if not (bfloat16_pays() and _there()):
         return
     for layer in net.modules():
         if isinstance(layer, Linear):
             layer.served = _rounded(layer.weight), _rounded(layer.bias)
+
+
+def _there() -> bool:
+    """Whether the operator is there and works, by trying it."""
+    if _product is None:
+        return False
+    some = torch.ones(8, 8, dtype=torch.bfloat16)
+    try:
+        with torch.inference_mode():
+            _product(some, some, some[0], "relu", [], "")
+    except (RuntimeError, NotImplementedError):
+        return False
+    return True
 
 
 def _rounded(values: Any) -> Any:

@@ -31,7 +31,7 @@ def bound_compiled_products() -> None:
 
 @functools.cache
 def keep_freed_memory() -> None:
-    """Let the process keep up to 256 MiB that it has freed; does nothing without glibc."""
+    """Let the process keep up to 64 MiB that it has freed; does nothing without glibc."""
     if (libc := _glibc()) is not None:
         libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST)
         libc.mallopt(_M_TRIM_THRESHOLD, _KEPT)

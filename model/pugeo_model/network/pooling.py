@@ -37,6 +37,7 @@ def sums(edges: Tensor, sent: Tensor, sources: Tensor, own: Tensor) -> Tensor:
         own: ``(n, c)`` of the receivers.
     """
     if _served(edges):
+        assert edges.dtype == sent.dtype == own.dtype
         _sum(bits(edges), bits(sent), sources.numpy(), bits(own))
         return edges
     gathered = sent.index_select(0, sources.flatten()).unflatten(0, tuple(sources.shape))

@@ -96,9 +96,7 @@ class Flow:
             if sheet.chunks > 1:
                 written = self._tasks.submit("at_once", prepared)
         elif head.tiles == 1:
-            if head.noisy:
-                prepared = await self._denoised(prepared, size, seconds, batches)
-            landed = await self._dense(prepared, size, seconds, batches)
+            prepared, landed = await self._dense(prepared, head, seconds, batches)
             self._watcher.on_stage("finish")
             written, sheet = await self._tasks.step(
                 size, "finish", "describe_written", prepared, landed, order.answer
@@ -154,9 +152,7 @@ class Flow:
                 )
                 self._tasks.drop([tile])
                 _add(seconds, head.seconds)
-                if head.noisy:
-                    job = await self._denoised(job, head.patches, seconds, batches, where)
-                landed = await self._dense(job, head.patches, seconds, batches, where)
+                job, landed = await self._dense(job, head, seconds, batches, where)
                 self._watcher.on_stage("finish")
                 pieces[number], spent = await self._tasks.step(
                     LARGE_PATCHES, "finish_tile", "describe_finished", job, landed, place=where()
@@ -174,44 +170,45 @@ class Flow:
             await asyncio.gather(*tasks, return_exceptions=True)
         return pieces
 
-    async def _denoised(
-        self,
-        prepared: Any,
-        size: int,
-        seconds: dict[str, float],
-        batches: list[tuple[float, int]],
-        where: Where = lambda: None,
-    ) -> Any:
-        """Land the points of a noisy cloud, and return the handle of what was prepared of them."""
-        began = time.perf_counter()
-        charted = await self._tasks.spread(size, size, "predict_part", prepared, where)
-        spots, (landings, _, ran) = await self._tasks.step(
-            size, "own_spots", "describe_merged", prepared, charted, place=where()
-        )
-        batches += ran
-        landed = await self._tasks.spread(size, landings, "land_part", spots, where)
-        again, _ = await self._tasks.step(
-            size, "denoise", "describe_prepared", prepared, landed, place=where()
-        )
-        _add(seconds, {"prepare": time.perf_counter() - began})
-        self._tasks.drop([prepared, *charted, spots, *landed])
-        return again
-
     async def _dense(
         self,
         prepared: Any,
-        size: int,
+        head: Head,
         seconds: dict[str, float],
         batches: list[tuple[float, int]],
         where: Where = lambda: None,
-    ) -> list[Any]:
-        """From patches to points on the surface; return the handles of these."""
+    ) -> tuple[Any, list[Any]]:
+        """From patches to points on the surface.
+
+        Returns:
+            The handle of what was prepared, which is another where it was noisy, and those of the
+            points.
+        """
         self._watcher.on_stage("predict")
-        began = time.perf_counter()
+        began, size = time.perf_counter(), head.patches
         charted = await self._tasks.spread(
             size, size, "predict_part", prepared, where, self._watcher.on_done
         )
         _add(seconds, {"predict": time.perf_counter() - began})
+
+        if head.noisy:
+            began = time.perf_counter()
+            spots, (landings, _, ran) = await self._tasks.step(
+                size, "own_spots", "describe_merged", prepared, charted, place=where()
+            )
+            landed = await self._tasks.spread(size, landings, "land_part", spots, where)
+            again, head = await self._tasks.step(
+                size, "denoise", "describe_prepared", prepared, landed, place=where()
+            )
+            self._tasks.drop([spots, *landed])
+            if head.noisy:
+                self._tasks.drop([again])
+            else:
+                batches += ran
+                self._tasks.drop([prepared, *charted])
+                prepared = again
+                charted = await self._tasks.spread(size, size, "predict_part", prepared, where)
+            _add(seconds, {"predict": time.perf_counter() - began})
 
         self._watcher.on_stage("land")
         proposed, (landings, proposing, ran) = await self._tasks.step(
@@ -235,7 +232,7 @@ class Flow:
         landed = await self._tasks.spread(size, landings, "land_part", merged, where)
         _add(seconds, {"land": time.perf_counter() - began})
         self._tasks.drop([merged])
-        return landed
+        return prepared, landed
 
     async def _by_rows(
         self,

@@ -63,7 +63,7 @@ class Head:
         by_rows: the answer can be written tile by tile.
         sheet: of the answer, where the cloud was so small that it is done already.
         batches: seconds and patches that the network took for it.
-        noisy: it is to be denoised before anything else.
+        noisy: its points may be off the surface; after denoising, that they were not.
     """
 
     patches: int

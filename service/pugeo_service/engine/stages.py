@@ -93,13 +93,18 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
 
 def _at_once(prepared: Prepared, order: Order) -> Prepared:
     """Go all the way: passing it on would take longer than the work, or gain nothing."""
+    charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
+    denoising, batches = 0.0, []
     if pipeline.noisy(prepared.job):
-        charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
+        start = time.perf_counter()
         spots = own_spots(prepared, [charted])
         again = denoise(prepared, [land(spots.landings, order.model)])
-        spent = prepared.seconds["prepare"] + charted.seconds + again.seconds["prepare"]
-        prepared = replace(again, seconds={**prepared.seconds, "prepare": spent})
-    charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
+        denoising = time.perf_counter() - start
+        if again.job is not prepared.job:
+            denoising += charted.seconds
+            batches += spots.batches
+            prepared = replace(prepared, job=again.job)
+            charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
     proposed = propose(prepared, [charted])
     start = time.perf_counter()
     candidates = land(proposed.landings, order.model)
@@ -111,11 +116,14 @@ def _at_once(prepared: Prepared, order: Order) -> Prepared:
     written = finish(prepared, [landed], order.answer)
     seconds = {
         **prepared.seconds,
+        "prepare": prepared.seconds["prepare"] + denoising,
         "predict": charted.seconds,
         "land": landing,
         "merge": proposed.seconds + merged.seconds,
     }
-    return replace(prepared, seconds=seconds, written=written, batches=tuple(proposed.batches))
+    return replace(
+        prepared, seconds=seconds, written=written, batches=(*batches, *proposed.batches)
+    )
 
 
 def describe_prepared(prepared: Prepared) -> Head:

@@ -34,6 +34,13 @@ def noisy() -> Cloud:
     return Cloud((points + rng.normal(size=points.shape, scale=0.02)).astype(np.float32))
 
 
+@pytest.fixture(scope="module")
+def folded() -> Cloud:
+    """A sheet so coarse for its folds that they look like noise, and are none."""
+    u, v = np.random.default_rng(0).random((2, 6000)) * 60
+    return Cloud(np.column_stack([u, v, 0.8 * np.abs((u + 0.3 * v) % 4 - 2)]).astype(np.float32))
+
+
 def ignore(_: int) -> None:
     """What is told on the way matters elsewhere."""
 
@@ -58,9 +65,12 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
     return formats.read(io.BytesIO(asyncio.run(whole())), format="ply").points
 
 
-@pytest.mark.parametrize(
+WAYS = pytest.mark.parametrize(
     ("at_once", "tile"), [(9, None), (1, None), (1, 2500)], ids=["at once", "in parts", "in tiles"]
 )
+
+
+@WAYS
 def test_the_service_denoises_as_the_library_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noisy: Cloud, at_once: int, tile: int | None
 ) -> None:
@@ -76,3 +86,20 @@ def test_the_service_denoises_as_the_library_does(
     np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
     off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in (noisy.points, found)]
     assert off[1] < 0.4 * off[0]
+
+
+@WAYS
+def test_the_service_keeps_detail_as_the_library_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folded: Cloud, at_once: int, tile: int | None
+) -> None:
+    """What is taken for noise at first and moves by nothing goes on as it is, input points too."""
+    if tile:
+        monkeypatch.setattr(tiles, "_FEWEST", tile)
+        monkeypatch.setattr(tiles, "_MOST", tile)
+    torch.set_num_threads(1)
+    wanted = Upsampler()(folded, 2.0)
+    assert wanted.report["noise"] > 0.1
+    found = answer(folded, at_once, tmp_path)
+    np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
+    stayed = {tuple(point) for point in folded.points} & {tuple(point) for point in found}
+    assert len(stayed) > 500
