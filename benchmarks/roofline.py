@@ -83,9 +83,10 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
             charts += patch.core
             run = _forward(model, patch, job.candidates)
             # One after the other: the first takes operations apart that the second shall see whole.
-            with torch.inference_mode(), _counter() as counter:
+            counter = FlopCounterMode(display=False, custom_mapping=_LAYERS)
+            with torch.inference_mode(), counter:
                 run()
-            flops += counter.get_total_flops()  # which starts from 0 each time it is entered
+            flops += counter.get_total_flops()
             with torch.inference_mode(), traffic:
                 run()
     return Work(
@@ -94,10 +95,6 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
         bytes=traffic.bytes / charts,
         kind="bf16" if bfloat16_pays() else "fp32",
     )
-
-
-def _counter() -> FlopCounterMode:
-    return FlopCounterMode(display=False, custom_mapping=_LAYERS)
 
 
 def _forward(model: Model, patch: Patch, candidates: int) -> Callable[[], object]:

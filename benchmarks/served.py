@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--workers 2 1]``.
+"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--ratio R]``.
+
+``--workers 2`` leaves out the service of one worker.
 
 A service of two workers and one of a single worker are started one after the other on all cores of
 this process: how soon they are ready, how soon a small cloud comes back when nobody else is there,

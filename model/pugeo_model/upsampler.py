@@ -114,9 +114,9 @@ class Upsampler:
         job = prepare(tile)
         charts = spread("network", job.patches, chart)
         if noisy(job):
-            before = job
-            job = denoise(job, spread("denoise", own_spots(job, charts), put))
-            if job is not before:
+            again = denoise(job, spread("denoise", own_spots(job, charts), put))
+            if again is not job:
+                job = again
                 charts = spread("network", job.patches, chart)
         tell("propose")
         candidates = spread("land", propose(job, charts), put)

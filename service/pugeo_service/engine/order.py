@@ -63,7 +63,7 @@ class Head:
         by_rows: the answer can be written tile by tile.
         sheet: of the answer, where the cloud was so small that it is done already.
         batches: seconds and patches that the network took for it.
-        noisy: its points may be off the surface; after denoising, that they were not.
+        noisy: it is to be denoised. Said of what was: its points were right, its charts still hold.
     """
 
     patches: int

@@ -8,7 +8,7 @@ to the front.
 import functools
 import io
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -168,10 +168,7 @@ def predict_part(prepared: Prepared, start: int, stop: int, model: str) -> Chart
 
 def own_spots(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
     """Gather the input's points; ``batches`` are in the order of the patches."""
-    start = time.perf_counter()
-    landings = pipeline.own_spots(prepared.job, [chart for b in batches for chart in b.charts])
-    sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
-    return Merged(landings, time.perf_counter() - start, sizes)
+    return _spots(pipeline.own_spots, prepared, batches)
 
 
 def denoise(prepared: Prepared, batches: Sequence[list[Any]]) -> Prepared:
@@ -183,8 +180,14 @@ def denoise(prepared: Prepared, batches: Sequence[list[Any]]) -> Prepared:
 
 def propose(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
     """Gather the candidates of all charts; ``batches`` are in the order of the patches."""
+    return _spots(pipeline.propose, prepared, batches)
+
+
+def _spots(
+    choose: Callable[..., list[Any]], prepared: Prepared, batches: Sequence[Charted]
+) -> Merged:
     start = time.perf_counter()
-    landings = pipeline.propose(prepared.job, [chart for b in batches for chart in b.charts])
+    landings = choose(prepared.job, [chart for b in batches for chart in b.charts])
     sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
     return Merged(landings, time.perf_counter() - start, sizes)
 

@@ -3,6 +3,7 @@
 
 import asyncio
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, formats, tiles
+from pugeo_model.plan import Result
 from pugeo_model.upsampler import Upsampler
 from pugeo_service.engine import Engine
 from pugeo_service.engine.order import InMemory
@@ -65,41 +67,41 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
     return formats.read(io.BytesIO(asyncio.run(whole())), format="ply").points
 
 
-WAYS = pytest.mark.parametrize(
-    ("at_once", "tile"), [(9, None), (1, None), (1, 2500)], ids=["at once", "in parts", "in tiles"]
-)
+@pytest.fixture(params=[(9, None), (1, None), (1, 2500)], ids=["at once", "in parts", "in tiles"])
+def both(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Cloud], tuple[Result, NDArray[np.float32]]]:
+    """What the library and what the engine make of a cloud, whatever way it goes."""
+    at_once, tile = request.param
+
+    def made(cloud: Cloud) -> tuple[Result, NDArray[np.float32]]:
+        if tile:
+            monkeypatch.setattr(tiles, "_FEWEST", tile)
+            monkeypatch.setattr(tiles, "_MOST", tile)
+        torch.set_num_threads(1)
+        wanted = Upsampler()(cloud, 2.0)
+        assert wanted.report["noise"] > 0.1
+        assert wanted.report["tiles"] == (3 if tile else 1)
+        return wanted, answer(cloud, at_once, tmp_path)
+
+    return made
 
 
-@WAYS
 def test_the_service_denoises_as_the_library_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noisy: Cloud, at_once: int, tile: int | None
+    both: Callable[[Cloud], tuple[Result, NDArray[np.float32]]], noisy: Cloud
 ) -> None:
-    """To the last bit, whatever way the cloud goes; and the points do get nearer to the surface."""
-    if tile:
-        monkeypatch.setattr(tiles, "_FEWEST", tile)
-        monkeypatch.setattr(tiles, "_MOST", tile)
-    torch.set_num_threads(1)
-    wanted = Upsampler()(noisy, 2.0)
-    assert wanted.report["noise"] > 0.1
-    assert wanted.report["tiles"] == (3 if tile else 1)
-    found = answer(noisy, at_once, tmp_path)
+    """To the last bit; and the points do get nearer to the surface."""
+    wanted, found = both(noisy)
     np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
     off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in (noisy.points, found)]
     assert off[1] < 0.4 * off[0]
 
 
-@WAYS
 def test_the_service_keeps_detail_as_the_library_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folded: Cloud, at_once: int, tile: int | None
+    both: Callable[[Cloud], tuple[Result, NDArray[np.float32]]], folded: Cloud
 ) -> None:
     """What is taken for noise at first and moves by nothing goes on as it is, input points too."""
-    if tile:
-        monkeypatch.setattr(tiles, "_FEWEST", tile)
-        monkeypatch.setattr(tiles, "_MOST", tile)
-    torch.set_num_threads(1)
-    wanted = Upsampler()(folded, 2.0)
-    assert wanted.report["noise"] > 0.1
-    found = answer(folded, at_once, tmp_path)
+    wanted, found = both(folded)
     np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
     stayed = {tuple(point) for point in folded.points} & {tuple(point) for point in found}
     assert len(stayed) > 500
