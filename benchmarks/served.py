@@ -14,7 +14,9 @@ import statistics
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
+from threading import local
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,11 +127,16 @@ def _many(server: Server) -> float:
     """Points a second of requests whose clouds all differ in size, several at a time."""
     clouds = [_even(_EACH + 7 * more) for more in range(_REQUESTS)]
 
-    def send(cloud: NDArray[np.float32]) -> float:
-        with Client(server.url, timeout=_PATIENCE_S) as client:
-            return _seconds(client, cloud)
+    # Each client keeps its connection, as clients do: making one anew costs it 20 ms.
+    here = local()
 
-    with ThreadPoolExecutor(_CLIENTS) as clients:
+    def send(cloud: NDArray[np.float32]) -> float:
+        return _seconds(here.client, cloud)
+
+    def connect() -> None:
+        here.client = inside.enter_context(Client(server.url, timeout=_PATIENCE_S))
+
+    with ExitStack() as inside, ThreadPoolExecutor(_CLIENTS, initializer=connect) as clients:
         list(clients.map(send, clouds[:_CLIENTS]))
         began = time.monotonic()
         list(clients.map(send, clouds))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.boxes import corners, inside
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import noise_level, rough_residuals
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
@@ -124,8 +125,8 @@ def _margins(
     points: NDArray[np.float64], cores: list[NDArray[np.int32]]
 ) -> list[NDArray[np.int32]]:
     """Rows of the points within reach of each core."""
-    low = np.array([points[core].min(axis=0) for core in cores])
-    high = np.array([points[core].max(axis=0) for core in cores])
+    boxes = np.array([corners(points, core) for core in cores])
+    low, high = boxes[:, 0], boxes[:, 1]
     found = []
     for tile, core in enumerate(cores):
         tree = cKDTree(points[core])
@@ -135,10 +136,9 @@ def _margins(
         touched = ((low <= reach_high) & (high >= reach_low)).all(axis=1)
         touched[tile] = False
         around = [np.empty(0, dtype=np.int32)]
-        for other in np.flatnonzero(touched):
-            there = points[cores[other]]
-            inside = ((there >= reach_low) & (there <= reach_high)).all(axis=1)
-            around.append(cores[other][inside])
+        around += [
+            inside(points, cores[other], reach_low, reach_high) for other in np.flatnonzero(touched)
+        ]
         boxed = np.concatenate(around)
         apart, _ = tree.query(points[boxed], distance_upper_bound=width)
         found.append(boxed[np.isfinite(apart)])

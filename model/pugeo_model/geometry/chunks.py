@@ -4,6 +4,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.geometry.boxes import corners
+
 __all__ = ["PATCH_SIZE", "chunks"]
 
 PATCH_SIZE = 2048
@@ -24,11 +26,11 @@ def chunks(points: NDArray[np.float64], size: int = PATCH_SIZE) -> list[NDArray[
         if parts == 1:
             done.append(np.sort(rows))
             continue
-        here = points[rows]
-        axis = int(np.argmax(np.ptp(here, axis=0)))
+        low, high = corners(points, rows)
+        axis = int(np.argmax(high - low))
         left = parts // 2
         middle = len(rows) * left // parts
-        order = np.argpartition(here[:, axis], middle)
+        order = np.argpartition(points[rows, axis], middle)
         todo.append((rows[order[middle:]], parts - left))
         todo.append((rows[order[:middle]], left))
     return done

@@ -16,7 +16,7 @@ from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.errors import EngineLost, WorkerLost
-from pugeo_service.engine.pool import Stage
+from pugeo_service.engine.pool import CORE, QUICK, Stage
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.task import run_stage
 from pugeo_service.settings import Settings
@@ -107,7 +107,8 @@ class DaskPool:
             self._cluster = _dask.LocalCluster(
                 n_workers=settings.worker_count,
                 processes=True,
-                threads_per_worker=1,
+                # One that works, one that answers questions meanwhile.
+                threads_per_worker=2,
                 memory_limit=settings.worker_memory,
                 asynchronous=True,
                 security=security,
@@ -167,6 +168,7 @@ class DaskPool:
                 workers=place,
                 # Nor does it wait for a worker that is gone, or long for one that is behind.
                 allow_other_workers=place is not None,
+                resources=None if stage in QUICK else {CORE: 1},
             )
         except ClosedClientError as error:
             raise EngineLost(str(error)) from error
@@ -254,7 +256,8 @@ class DaskPool:
         workers = frozenset(
             worker["id"] if isinstance(worker["id"], str) else address
             for address, worker in identity["workers"].items()
-            if worker["status"] == "running"
+            # Without a core it would never be given work: see `preload`.
+            if worker["status"] == "running" and CORE in worker["resources"]
         )
         self.lost_workers += len(self._workers - workers)
         self._workers = workers

@@ -23,9 +23,9 @@ Where = Callable[[], str | None]
 # A cloud that others overtake, and that got nothing done for so long, is helped along.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# In one task, of what stays where it is: 0.2 s, which a small cloud waits at most, for a third of
-# the tasks.
-_PART_PATCHES = 3
+# In one task, of what stays where it is: 0.2 s of patches, which a small cloud waits at most, and
+# landings enough that the task does not cost as much as they do, which is 2 ms each.
+_PART = {"predict_part": 3, "land_part": 12}
 
 
 class Dispatch:
@@ -160,7 +160,7 @@ class Dispatch:
         workers = max(1, self._pool.warm_workers)
         size = self._order.batch_patches
         # Parts for all workers, where they are carried to them.
-        size = min(size, -(-total // workers)) if carried() else max(size, _PART_PATCHES)
+        size = min(size, -(-total // workers)) if carried() else max(size, _PART[stage])
         haste = None
         if self._order.background:
             haste = Haste(self._lanes.turns, _BACKGROUND_PATIENCE_S, eager=False)

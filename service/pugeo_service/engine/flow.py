@@ -2,7 +2,9 @@
 """The graph of tasks of one request, from the bytes of its body to the bytes of its answer."""
 
 import asyncio
+import itertools
 import time
+from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from dataclasses import replace
@@ -252,22 +254,39 @@ class Flow:
         self._watcher.on_stage("collect")
         began, waited = time.perf_counter(), 0.0
 
+        writing: deque[asyncio.Task[tuple[Any, Sheet]]] = deque()
+
+        async def write(number: int, piece: Any) -> tuple[Any, Sheet]:
+            written = await self._tasks.step(
+                LARGE_PATCHES, "write_tile", "describe_written", piece, agreed, number
+            )
+            self._tasks.drop([piece])
+            return written
+
         async def chunks() -> AsyncIterator[bytes]:
             nonlocal waited
-            for number, piece in enumerate(pieces):
+            waiting = enumerate(pieces)
+            # The workers write while what they wrote before is brought here.
+            window = self._pool.warm_workers + 1
+            while True:
+                for each in itertools.islice(waiting, window - len(writing)):
+                    writing.append(asyncio.create_task(write(*each)))
+                if not writing:
+                    return
                 asked = time.perf_counter()
-                sheet: Sheet
-                written, sheet = await self._tasks.step(
-                    LARGE_PATCHES, "write_tile", "describe_written", piece, agreed, number
-                )
+                written, sheet = await writing.popleft()
                 waited += time.perf_counter() - asked
-                self._tasks.drop([piece])
                 _add(seconds, sheet.seconds)
                 async for data in self._chunks(written, sheet):
                     yield data
                 self._tasks.drop([written])
 
-        spool = await self._spooled(chunks())
+        try:
+            spool = await self._spooled(chunks())
+        finally:
+            for task in writing:
+                task.cancel()
+            await asyncio.gather(*writing, return_exceptions=True)
         self._tasks.drop([agreed])
         seconds["collect"] = time.perf_counter() - began - waited
         return Outcome(spool, report, seconds, batches)

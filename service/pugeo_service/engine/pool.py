@@ -4,7 +4,7 @@
 from collections.abc import Iterable
 from typing import Any, Literal, Protocol
 
-__all__ = ["Pool", "Stage"]
+__all__ = ["CORE", "QUICK", "Pool", "Stage"]
 
 # Functions of `stages`, by name: the front must not import what they need.
 Stage = Literal[
@@ -33,6 +33,26 @@ Stage = Literal[
     "describe_written",
     "chunk",
 ]
+
+QUICK: frozenset[Stage] = frozenset(
+    {
+        "describe_prepared",
+        "describe_merged",
+        "describe_finished",
+        "describe_agreed",
+        "describe_written",
+        "cut_tile",
+        "cut_patches",
+        "border",
+        "at_once",
+        "chunk",
+    }
+)
+"""Stages that only look something up or copy it: they run beside a worker's other stages, and wait
+for none of them."""
+
+CORE = "core"
+"""What a worker has one of and all other stages need: they run one at a time."""
 
 
 class Pool(Protocol):

@@ -15,9 +15,10 @@ from tornado.ioloop import PeriodicCallback
 
 from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_service.engine import stages
+from pugeo_service.engine.pool import CORE
 from pugeo_service.engine.sample import sample_body, sample_order
 
-__all__ = ["dask_setup", "warm"]
+__all__ = ["dask_setup", "one_at_a_time", "warm"]
 
 _TIDY_MS = 5_000
 _SWITCH_S = 5e-4
@@ -33,6 +34,14 @@ def warm(model: str) -> None:
     stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
 
 
+def one_at_a_time(worker: Any) -> None:
+    """Give a worker the one core that stages which work need; its second thread is for the others.
+
+    Here and not on its command line, where one could forget it.
+    """
+    worker.state.total_resources[CORE] = worker.state.available_resources[CORE] = 1
+
+
 def dask_setup(worker: Any) -> None:
     """Warm this process; Dask calls it in every worker before the worker registers."""
     # Ctrl+C reaches the whole process group, and the front ends its workers in good order.
@@ -43,5 +52,6 @@ def dask_setup(worker: Any) -> None:
     # in the median, and 0.39 s so.
     sys.setswitchinterval(_SWITCH_S)
     warm(os.environ.get("PUGEO_MODEL", "standard"))
+    one_at_a_time(worker)
     # What other clouds left between the results that live here would add up.
     worker.periodic_callbacks["tidy"] = PeriodicCallback(give_back_freed_memory, _TIDY_MS)

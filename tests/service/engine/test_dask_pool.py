@@ -187,6 +187,34 @@ def test_priority_decides(play: Play, tmp_path: Path) -> None:
     play(scenario, workers=1)
 
 
+def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
+    """A quick stage runs beside one that works; those that work run one at a time."""
+    log = tmp_path / "log"
+
+    async def scenario(pool: DaskPool) -> None:
+        naps = [submit(pool, "nap", 2, str(log), name) for name in ("first", "second")]
+        await asyncio.sleep(0.7)
+        assert await pool.fetch(submit(pool, "chunk", 1, 1)) == 2
+        assert log.read_text().split() == ["first"]
+        assert not naps[0].done()
+        assert [await pool.fetch(nap) for nap in naps] == ["first", "second"]
+
+    play(scenario, workers=1)
+
+
+def test_a_worker_without_a_core_does_not_count(
+    play: Play, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was started without the preload would be given no work."""
+    config = {**dask_pool._CONFIG, "distributed.worker.preload": []}
+    monkeypatch.setattr(dask_pool, "_CONFIG", config)
+
+    async def scenario(pool: DaskPool) -> None:
+        assert (pool.warm_workers, pool.places) == (0, ())
+
+    play(scenario, workers=1)
+
+
 def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
     """What nobody waits for any more leaves the queue."""
     log = tmp_path / "log"

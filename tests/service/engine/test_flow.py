@@ -156,8 +156,7 @@ def test_a_cloud_in_tiles(tmp_path: Path) -> None:
     assert not pool.of("finish")
     stages = [handle.stage for handle in pool.handles if handle.stage.endswith("_tile")]
     assert stages[:2] == ["cut_tile", "prepare_tile"]
-    assert outcome.seconds["prepare"] == 6.0
-    assert len(outcome.batches) == 5
+    assert (outcome.seconds["prepare"], len(outcome.batches)) == (6.0, 5)
     assert not any(handle.live for handle in pool.handles)
 
 
@@ -168,13 +167,14 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     class Watched(Recorder):
         async def fetch(self, handle: Handle) -> Any:
             if handle.stage == "chunk":
+                await asyncio.sleep(0.05)
                 live.append(sum(each.live for each in self.of("finish_tile")))
             return await super().fetch(handle)
 
-    pool = Watched(9, seconds=lambda _: 0.001, tiles=5, by_rows=True)
+    pool = Watched(9, tiles=5, by_rows=True)
     outcome, data = run(pool, tmp_path)
-    # Two chunks each come after the first: of what is on its way its tile is no longer kept.
-    assert live == [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
+    # Of what is on its way no tile is kept, nor of those that both workers wrote meanwhile.
+    assert live == [2, 2, 1, 1, 0, 0, 0, 0, 0, 0]
     assert data == 5 * b"012"
     assert not pool.of("assemble")
     (agreed,) = pool.of("agree")
@@ -279,7 +279,7 @@ def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
 
 def test_large_requests_have_turns(tmp_path: Path) -> None:
     """One task of theirs at a time goes before everything else: stages, and some batches."""
-    pool = Recorder(20, seconds=lambda _: 0.01)
+    pool = Recorder(80, seconds=lambda _: 0.01)
     lanes = Lanes(lambda: 2)
     run(pool, tmp_path, lanes=lanes)
     for stage in ("propose", "merge", "finish"):
