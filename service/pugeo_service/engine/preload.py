@@ -44,6 +44,8 @@ def one_at_a_time(worker: Any) -> None:
 
 def dask_setup(worker: Any) -> None:
     """Warm this process; Dask calls it in every worker before the worker registers."""
+    # Before anything can fail: tasks then fail as well, and tell why, instead of waiting for ever.
+    one_at_a_time(worker)
     # Ctrl+C reaches the whole process group, and the front ends its workers in good order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Dask logs every exception with all arguments; the front logs those that are bugs.
@@ -52,6 +54,5 @@ def dask_setup(worker: Any) -> None:
     # in the median, and 0.39 s so.
     sys.setswitchinterval(_SWITCH_S)
     warm(os.environ.get("PUGEO_MODEL", "standard"))
-    one_at_a_time(worker)
     # What other clouds left between the results that live here would add up.
     worker.periodic_callbacks["tidy"] = PeriodicCallback(give_back_freed_memory, _TIDY_MS)
