@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.finish.attributes import carry
-from pugeo_model.finish.joining import signs_of_parts, take_sides
+from pugeo_model.finish.by_answer import take_sides_by_answer
+from pugeo_model.finish.joining import signs_of_parts
 from pugeo_model.finish.orientation import method_of, orient, propagate
 from pugeo_model.finish.seams import Rim, part
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
@@ -290,10 +291,18 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     graph = job.neighbours[:, :_TREE]
     sides = parts = None
     if tile.orient == "mst":
-        sides = take_sides(tile.rows[job.order], job.core, job.points, axes, graph)
-        normals = propagate(landed.normals, landed.nearest, sides.normals)
+        sides, signs, parts = take_sides_by_answer(
+            tile.rows[job.order],
+            job.core,
+            job.points,
+            axes,
+            graph,
+            shares(job.frames.spacing, job.neighbours),
+            (landed.points, landed.normals, landed.nearest),
+        )
+        normals = landed.normals * signs[:, None].astype(np.float32)
         # There are few, and the points of a large cloud are many.
-        parts = sides.parts.astype(np.min_scalar_type(sides.parts.max()))[landed.nearest]
+        parts = parts.astype(np.min_scalar_type(parts.max()))
     elif tile.orient == "input":
         signs, _ = orient(job.points, axes, "input", None, cloud.normals, graph)
         normals = propagate(landed.normals, landed.nearest, signs)

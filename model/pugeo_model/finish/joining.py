@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pugeo_model.finish.outside import Evidence, gather, outward
 from pugeo_model.finish.spanning import dots, join, relative_signs
 
-__all__ = ["Sides", "signs_of_parts", "take_sides"]
+__all__ = ["Sides", "sides_of", "signs_of_parts", "take_sides"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,19 @@ def take_sides(
         neighbours: ``(n, k)`` rows of the tile.
     """
     signs, parts = relative_signs(points, normals, neighbours)
+    return sides_of(rows, core, points, normals, signs, parts, neighbours)
+
+
+def sides_of(
+    rows: NDArray[np.int32],
+    core: NDArray[np.bool_],
+    points: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    signs: NDArray[np.float64],
+    parts: NDArray[np.intp],
+    neighbours: NDArray[np.integer[Any]],
+) -> Sides:
+    """The sides of a tile whose ``signs`` ``(n,)`` within ``parts`` ``(n,)`` are known."""
     agreed = normals * signs[:, None].astype(np.float32)
     evidence = gather(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
     return Sides(rows, core, agreed, parts, evidence)

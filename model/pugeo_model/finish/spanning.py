@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs of normals relative to each other: neighbours agree, along a minimum spanning tree."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["dots", "join", "relative_signs"]
+__all__ = ["Edges", "dots", "join", "regions", "relative_signs"]
 
 # Edges below this share of the local mean length are mistrusted. Found on the training meshes with
 # noise of 0 to 1 % of their size: 94 % of the signs come out right; 88 % without it, and 69 % with
@@ -15,26 +16,77 @@ __all__ = ["dots", "join", "relative_signs"]
 _SHORT = 0.6
 
 
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Pairs of points, and how their normals compare.
+
+    Attributes:
+        left: ``(E,)`` int32 row at one end.
+        right: ``(E,)`` int32 row at the other.
+        weights: ``(E,)`` float32 in 0..2, the lighter the surer.
+        opposite: ``(E,)`` bool, whether the signs of the two ends differ.
+    """
+
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    opposite: NDArray[np.bool_]
+
+    @classmethod
+    def between(
+        cls,
+        points: NDArray[Any],
+        normals: NDArray[Any],
+        left: NDArray[np.int32],
+        right: NDArray[np.int32],
+        short: NDArray[np.float64],
+    ) -> "Edges":
+        """Compare normals ``(M, 3)`` of points ``(M, 3)`` along edges.
+
+        Args:
+            points: float64, near the origin.
+            normals: unit length, of any sign.
+            left: ``(E,)`` row at one end of each edge.
+            right: ``(E,)`` at the other.
+            short: ``(M,)`` length below which an edge of that point is mistrusted.
+        """
+        weights = np.empty(len(left), dtype=np.float32)
+        opposite = np.empty(len(left), dtype=np.bool_)
+        _compare(points, normals, left, right, short, weights, opposite)
+        return cls(left, right, weights, opposite)
+
+    def moved(self, by: int) -> "Edges":
+        """The same between points that many rows further on."""
+        return replace(self, left=self.left + np.int32(by), right=self.right + np.int32(by))
+
+    @classmethod
+    def among(
+        cls, points: NDArray[Any], normals: NDArray[Any], neighbours: NDArray[np.integer[Any]]
+    ) -> "Edges":
+        """Compare neighbours, each pair once.
+
+        Args:
+            points: ``(M, 3)`` float64, near the origin.
+            normals: ``(M, 3)`` float, unit length, of any sign.
+            neighbours: ``(M, k)`` rows near each point; others than ``0..M-1`` are skipped.
+        """
+        left, right = np.empty((2, neighbours.size), dtype=np.int32)
+        short = np.empty(len(points))
+        count = _pairs(points, neighbours, left, right, short)
+        return cls.between(points, normals, left[:count], right[:count], short)
+
+
 def relative_signs(
     points: NDArray[Any], normals: NDArray[Any], neighbours: NDArray[np.integer[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Make neighbours agree.
-
-    Args:
-        points: ``(M, 3)`` float64, near the origin.
-        normals: ``(M, 3)`` float, unit length, of any sign.
-        neighbours: ``(M, k)`` rows near each point; others than ``0..M-1`` are skipped.
+    """Make neighbours agree; arguments as of `Edges.among`.
 
     Returns:
         Signs -1 or 1 ``(M,)``, consistent within each connected part, and the part ``(M,)`` of
         each point, numbered from 0.
     """
-    count, width = neighbours.shape
-    weights = np.empty((count, width), dtype=np.float32)
-    opposite = np.empty((count, width), dtype=np.bool_)
-    _compare(points, normals, neighbours, weights, opposite)
-    here = np.repeat(np.arange(count, dtype=np.int32), width)
-    return join(count, here, neighbours.ravel(), weights.ravel(), opposite.ravel())
+    edges = Edges.among(points, normals, neighbours)
+    return join(len(points), edges.left, edges.right, edges.weights, edges.opposite)
 
 
 def join(
@@ -63,6 +115,22 @@ def join(
     return signs, parts
 
 
+def regions(
+    left: NDArray[np.integer[Any]], right: NDArray[np.integer[Any]], kind: NDArray[np.bool_]
+) -> NDArray[np.intp]:
+    """Connected part ``(M,)`` of each node, numbered from 0, by edges between nodes of one kind.
+
+    Args:
+        left: ``(E,)`` node at one end of each edge.
+        right: ``(E,)`` at the other.
+        kind: ``(M,)`` of the nodes.
+    """
+    parts = np.empty(len(kind), dtype=np.intp)
+    alike = np.flatnonzero(kind[left] == kind[right])
+    _join(alike, left, right, np.zeros(len(left), dtype=np.bool_), np.empty(len(kind)), parts)
+    return parts
+
+
 def dots(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     """Products of rows, ``(N,)``."""
     products: NDArray[Any] = np.einsum("ij,ij->i", left, right)
@@ -70,68 +138,93 @@ def dots(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True)
+def _pairs(
+    points: NDArray[Any],
+    neighbours: NDArray[Any],
+    left: NDArray[Any],
+    right: NDArray[Any],
+    short: NDArray[Any],
+) -> int:
+    """Write each pair of neighbours once, and for each point what is a short edge there."""
+    count, width = neighbours.shape
+    found = 0
+    for i in range(count):
+        total, degree = 0.0, 0
+        for k in range(width):
+            j = neighbours[i, k]
+            if not 0 <= j < count or j == i:
+                continue
+            squared = 0.0
+            for a in range(3):
+                squared += (points[j, a] - points[i, a]) ** 2
+            total += np.sqrt(squared)
+            degree += 1
+            written = False
+            if j < i:
+                for other in neighbours[j]:
+                    written |= other == i
+            if not written:
+                left[found], right[found] = i, j
+                found += 1
+        short[i] = _SHORT * total / max(degree, 1)
+    return found
+
+
+@njit(cache=True, nogil=True)
 def _compare(
     points: NDArray[Any],
     normals: NDArray[Any],
-    neighbours: NDArray[Any],
+    left: NDArray[Any],
+    right: NDArray[Any],
+    short: NDArray[Any],
     weights: NDArray[Any],
     opposite: NDArray[Any],
 ) -> None:
-    """Weights of the edges, infinite where there is none, and whether normals disagree there.
+    """Weights of the edges, and whether normals disagree there.
 
     The left normal is reflected in the plane midway between both points before it is compared,
     which on a circle gives the right normal exactly. Plain dot products would orient both sides
     of a thin wall the same way.
     """
-    count, width = neighbours.shape
-    lengths = np.empty(width)
-    for i in range(count):
-        total, degree = 0.0, 0
-        for k in range(width):
-            j = neighbours[i, k]
-            lengths[k] = -1.0
-            if 0 <= j < count and j != i:
-                squared = 0.0
-                for a in range(3):
-                    squared += (points[j, a] - points[i, a]) ** 2
-                lengths[k] = np.sqrt(squared)
-                total += lengths[k]
-                degree += 1
-        short = _SHORT * total / max(degree, 1)
-        for k in range(width):
-            j = neighbours[i, k]
-            if lengths[k] < 0.0:
-                weights[i, k], opposite[i, k] = np.inf, False
-                continue
-            inverse = 1.0 / lengths[k] if lengths[k] > 0.0 else 1.0
-            left = right = cosine = 0.0
-            for a in range(3):
-                edge = (points[j, a] - points[i, a]) * inverse
-                left += normals[i, a] * edge
-                right += normals[j, a] * edge
-                cosine += normals[i, a] * normals[j, a]
-            cosine -= 2.0 * left * right
-            # Two points that noise has put above each other look like the two sides of a wall.
-            # Such edges are short; the edges that go around a sharp rim are of common length.
-            shortness = min((short * inverse) ** 4, 1.0) if lengths[k] > 0.0 else 1.0
-            steepness = max(left * left, right * right)
-            weights[i, k] = max(1.0 - abs(cosine) + steepness * shortness, 0.0)
-            opposite[i, k] = cosine < 0.0
+    for at in range(len(left)):
+        i, j = left[at], right[at]
+        x, y, z = (
+            points[j, 0] - points[i, 0],
+            points[j, 1] - points[i, 1],
+            points[j, 2] - points[i, 2],
+        )
+        length = np.sqrt(x * x + y * y + z * z)
+        inverse = 1.0 / length if length > 0.0 else 1.0
+        here = (normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z) * inverse
+        there = (normals[j, 0] * x + normals[j, 1] * y + normals[j, 2] * z) * inverse
+        cosine = -2.0 * here * there
+        for a in range(3):
+            cosine += normals[i, a] * normals[j, a]
+        # Two points that noise has put above each other look like the two sides of a wall.
+        # Such edges are short; the edges that go around a sharp rim are of common length.
+        ratio = min(short[i], short[j]) * inverse
+        shortness = min(ratio * ratio * ratio * ratio, 1.0) if length > 0.0 else 1.0
+        steepness = max(here * here, there * there)
+        weights[at] = max(1.0 - abs(cosine) + steepness * shortness, 0.0)
+        opposite[at] = cosine < 0.0
 
 
 @njit(cache=True, nogil=True)
 def _by_weight(bits: NDArray[np.uint32]) -> NDArray[np.int32]:
-    """Stable order of float32 numbers, none negative, by their bits, eleven at a time."""
+    """Stable order of float32 numbers, none negative, by their upper bits, eight at a time.
+
+    Which of two edges comes first that differ by less than a hundredth decides nothing.
+    """
     order = np.arange(len(bits)).astype(np.int32)
     other = np.empty_like(order)
-    for shift in (0, 11, 22):
-        start = np.zeros(2049, dtype=np.int64)
+    for shift in (16, 24):
+        start = np.zeros(257, dtype=np.int64)
         for value in bits:
-            start[((value >> shift) & 2047) + 1] += 1
-        for digit in range(2048):
+            start[((value >> shift) & 255) + 1] += 1
+        for digit in range(256):
             start[digit + 1] += start[digit]
         for at in order:
-            digit = (bits[at] >> shift) & 2047
+            digit = (bits[at] >> shift) & 255
             other[start[digit]] = at
             start[digit] += 1
         order, other = other, order

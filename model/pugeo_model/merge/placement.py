@@ -21,10 +21,13 @@ _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bit
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
 _USUAL = 0.78  # times the error usual around it that a candidate may be off without burden, R=1
 _FINER = 0.68  # power of R of that: among more points a hole is larger than an error
-_LEAST, _MOST = 2.0, 5.2  # of that: for less there are holes at R=2, for more thin tips are overshot
+_LEAST, _MOST = (
+    2.0,
+    5.2,
+)  # of that: for less there are holes at R=2, for more thin tips are overshot
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
 _FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
-_ROUNDS = 8
+_ROUNDS = 6
 _WIDE = 8  # times that shares, and errors, are averaged over neighbours
 _LOCAL = 2  # times that the number left of each chart is
 _LEVELLING = 6  # power of a region's density by which its weights grow
@@ -79,7 +82,7 @@ def place(
     core = np.ones(len(share), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
     reach = reach_of_share(share * (np.count_nonzero(core) / wanted))
-    usual = _USUAL * (wanted / np.count_nonzero(core)) ** _FINER
+    usual = float(_USUAL * (wanted / np.count_nonzero(core)) ** _FINER)
     usual = min(max(usual, _LEAST), _MOST)
     burden = _doubt(error.astype(np.float64), owner, near, usual)
     burden += _CHANCE * _draw(candidates, seed)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two trees and a vote."""
+
+import numpy as np
+import pytest
+
+from pugeo_model.finish.spanning import Edges, join, regions
+from pugeo_model.finish.voting import join_by_votes
+
+
+def edges(*rows: tuple[int, int, float, bool]) -> Edges:
+    """Edges, each with its ends, its weight, and whether its ends differ."""
+    left, right, weights, opposite = zip(*rows, strict=True)
+    return Edges(
+        np.array(left, dtype=np.int32),
+        np.array(right, dtype=np.int32),
+        np.array(weights, dtype=np.float32),
+        np.array(opposite),
+    )
+
+
+def bars(wrong: float) -> Edges:
+    """Two rows of ten nodes that agree, and ten edges between: all but the first say the same."""
+    inside = [(row + i, row + i + 1, 0.001, False) for row in (0, 10) for i in range(9)]
+    between = [(i, 10 + i, wrong if i == 0 else 0.03, i == 0) for i in range(10)]
+    return edges(*inside, *between)
+
+
+def test_many_outvote_one():
+    """A tree follows the lightest edge between two regions, also where all others say otherwise."""
+    both = bars(0.02)
+    plain, _ = join(20, both.left, both.right, both.weights, both.opposite)
+    assert (plain[:10] == 1).all()
+    assert (plain[10:] == -1).all()
+    signs, parts = join_by_votes(20, [both])
+    assert (signs == 1).all()
+    assert (parts == 0).all()
+
+
+def test_where_both_trees_agree_nothing_changes():
+    """An edge that is much surer than all others decides alone."""
+    both = bars(1e-6)
+    signs, _ = join_by_votes(20, [both])
+    assert (signs[10:] == -signs[0]).all()
+
+
+@pytest.mark.parametrize("opposite", [False, True])
+def test_the_next_kind_only_joins_what_is_apart(opposite: bool):
+    """However light its edges are."""
+    first = edges((0, 1, 1.9, opposite))
+    second = edges((0, 1, 0.0, not opposite), (1, 2, 0.5, False))
+    signs, parts = join_by_votes(4, [first, second])
+    other = -1 if opposite else 1
+    assert signs[:3].tolist() == [1, other, other]
+    assert parts.tolist() == [0, 0, 0, 1]
+
+
+def test_regions():
+    """Edges between nodes of one kind join, the others do not."""
+    ring = np.arange(6)
+    found = regions(ring, (ring + 1) % 6, np.array([True, True, False, False, True, True]))
+    assert found.tolist() == [0, 0, 1, 1, 0, 0]
