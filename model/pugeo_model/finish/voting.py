@@ -68,5 +68,5 @@ def _summed(
     total = max(int(left.max()), int(right.max())) + 1
     keys = np.minimum(left, right) * total + np.maximum(left, right)
     pairs, which = np.unique(keys, return_inverse=True)
-    summed: NDArray[np.float64] = np.bincount(which, votes)
+    summed = np.bincount(which, votes).astype(np.float64, copy=False)
     return (pairs // total, pairs % total), summed
