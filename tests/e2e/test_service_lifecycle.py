@@ -196,7 +196,7 @@ class FarCluster:
         preload = ["--preload", "pugeo_service.engine.preload"]
         spill = ["--local-directory", str(self._folder)]
         self._run("scheduler", "--host", self.address)
-        self._run("worker", self.address, "--nthreads", "2", *preload, *spill)
+        self._run("worker", self.address, "--nthreads", "1", *preload, *spill)
 
     def stop(self) -> None:
         """End both, the scheduler without a word to anybody."""

@@ -20,7 +20,8 @@ from pugeo_model.merge.elimination import reach_of_share
 
 __all__ = ["take_sides_by_answer"]
 
-_MEMBERS = 5  # points of a chart that take part; of R=16 the others follow the nearest of these
+_ALL = 5.0  # points a chart up to which all take part
+_MEMBERS = 4  # of each chart where there are more; the others follow the nearest of these
 _FAR = 1.5  # reaches at which neighbours are looked for
 _WIDTH = 16  # longest list of them
 _NEAR = 6  # neighbours in the input
@@ -56,7 +57,8 @@ def take_sides_by_answer(
     """
     dense, directions, owner = answer
     start, order = by_chart(owner, len(points))
-    chosen = _members(start, order, _MEMBERS)
+    most = _MEMBERS if len(dense) > _ALL * np.count_nonzero(core) else len(dense)
+    chosen = _members(start, order, most)
     mine, some, ways = owner[chosen], dense[chosen], directions[chosen]
     held = np.maximum(np.bincount(mine, minlength=len(points)), 1)
     reach = _FAR * reach_of_share(share / held)[mine]
@@ -71,7 +73,7 @@ def take_sides_by_answer(
     sides = sides_of(rows, core, points, normals, signs[:first], parts[:first], neighbours)
     agreed = ways * signs[first:, None].astype(np.float32)
     all_signs, member = np.empty(len(dense)), np.empty(len(dense), dtype=np.int32)
-    _follow(dense, directions, start, order, _MEMBERS, some, agreed, all_signs, member)
+    _follow(dense, directions, start, order, most, some, agreed, all_signs, member)
     return sides, all_signs, parts[first:][member]
 
 

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.finish.spanning import Edges, join, regions
+from pugeo_model.finish.spanning import Edges, by_weight, join, join_in_order, regions
 
 __all__ = ["join_by_votes"]
 
-_BEHIND = 2.0  # more than any edge weighs: the next kind comes after
 _HEAVY = 0.1  # weight of an edge whose vote counts half
-_LESS = 1e-4  # share of a vote that one of the next kind has: none, where the first kind has any
+_LESS = 1e-4  # share of a vote that one of the next kind has: as good as none beside the first
 
 
 def join_by_votes(
@@ -40,22 +39,23 @@ def join_by_votes(
         for name in ("left", "right", "opposite")
     )
     rng = np.random.default_rng(0)
-    plain, changed, votes = [], [], []
-    for rank, edges in enumerate(kinds):
-        chance = edges.weights * rng.standard_exponential(len(edges.left), dtype=np.float32)
-        plain.append(edges.weights + rank * _BEHIND)
-        changed.append(np.minimum(chance, _BEHIND) + rank * _BEHIND)
-        votes.append(_LESS**rank / (1.0 + edges.weights / _HEAVY))
-    signs, parts = join(count, left, right, np.concatenate(plain), opposite)
-    other, _ = join(count, left, right, np.concatenate(changed), opposite)
+    plain = [edges.weights for edges in kinds]
+    changed = [
+        weights * rng.standard_exponential(len(weights), dtype=np.float32) for weights in plain
+    ]
+    signs, parts = join_in_order(count, left, right, opposite, by_weight(plain))
+    other, _ = join_in_order(count, left, right, opposite, by_weight(changed))
     differs = signs != other
     region = regions(left, right, differs)
     between = np.flatnonzero(region[left] != region[right])
     if not len(between):
         return signs, parts
+    votes = np.concatenate(
+        [_LESS**rank / (1.0 + weights / _HEAVY) for rank, weights in enumerate(plain)]
+    )
     left, right = left[between], right[between]
     agree = np.where(opposite[between], -signs[left], signs[left]) * signs[right]
-    pairs, value = _summed(region[left], region[right], agree * np.concatenate(votes)[between])
+    pairs, value = _summed(region[left], region[right], agree * votes[between])
     weights = (1.0 / (1e-12 + np.abs(value))).astype(np.float32)
     turned, groups = join(int(region.max()) + 1, *pairs, weights, value < 0)
     return signs * turned[region], groups[region]

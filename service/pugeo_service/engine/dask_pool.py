@@ -39,6 +39,9 @@ _CONFIG = {
     # No side doors: the ports that Dask insists on opening answer nothing.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    # Nothing waits in the scheduler for a place, or moves away from what it needs, because there
+    # are many of its kind.
+    "distributed.scheduler.rootish-taskgroup-dependencies": 0,
     # Each connection would keep its last 1,000 messages below a megabyte, bodies and all.
     "distributed.admin.low-level-log-length": 10,
     # Nothing that this process does not show to anybody needs a statistical profile.
@@ -107,8 +110,7 @@ class DaskPool:
             self._cluster = _dask.LocalCluster(
                 n_workers=settings.worker_count,
                 processes=True,
-                # One that works, one that answers questions meanwhile.
-                threads_per_worker=2,
+                threads_per_worker=1,
                 memory_limit=settings.worker_memory,
                 asynchronous=True,
                 security=security,

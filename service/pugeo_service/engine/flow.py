@@ -20,6 +20,8 @@ from pugeo_service.spool import Spool
 
 __all__ = ["Flow"]
 
+_WRITERS = 3  # tiles written at one time: enough to keep the front busy
+
 
 class Flow:
     """One request on its way through the pool.
@@ -266,8 +268,9 @@ class Flow:
         async def chunks() -> AsyncIterator[bytes]:
             nonlocal waited
             waiting = enumerate(pieces)
-            # The workers write while what they wrote before is brought here.
-            window = self._pool.warm_workers + 1
+            # The workers write while what they wrote before is brought here; the front holds the
+            # first chunk of each.
+            window = min(self._pool.warm_workers, _WRITERS) + 1
             while True:
                 for each in itertools.islice(waiting, window - len(writing)):
                     writing.append(asyncio.create_task(write(*each)))

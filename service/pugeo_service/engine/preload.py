@@ -11,6 +11,8 @@ import signal
 import sys
 from typing import Any
 
+from distributed import Status
+from distributed.threadpoolexecutor import ThreadPoolExecutor
 from tornado.ioloop import PeriodicCallback
 
 from pugeo_model.network.memory import give_back_freed_memory
@@ -21,6 +23,7 @@ from pugeo_service.engine.sample import sample_body, sample_order
 __all__ = ["dask_setup", "one_at_a_time", "warm"]
 
 _TIDY_MS = 5_000
+_LOOK_MS = 50
 _SWITCH_S = 5e-4
 
 
@@ -35,11 +38,23 @@ def warm(model: str) -> None:
 
 
 def one_at_a_time(worker: Any) -> None:
-    """Give a worker the one core that stages which work need; its second thread is for the others.
+    """Give a worker the one core that stages which work need, and a second thread for the others.
 
-    Here and not on its command line, where one could forget it.
+    The scheduler is told of one thread: it would take two for twice the memory, and a worker that
+    works for one with a thread to spare.
     """
     worker.state.total_resources[CORE] = worker.state.available_resources[CORE] = 1
+    worker.executors["default"] = ThreadPoolExecutor(  # type: ignore[no-untyped-call]
+        2, thread_name_prefix="pugeo"
+    )
+
+    def known() -> None:
+        if worker.status == Status.running:
+            worker.state.nthreads = 2
+            waiting.stop()
+
+    waiting = PeriodicCallback(known, _LOOK_MS)
+    worker.periodic_callbacks["known"] = waiting
 
 
 def dask_setup(worker: Any) -> None:

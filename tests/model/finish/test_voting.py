@@ -55,6 +55,14 @@ def test_the_next_kind_only_joins_what_is_apart(opposite: bool):
     assert parts.tolist() == [0, 0, 0, 1]
 
 
+def test_each_kind_goes_by_its_own_weights():
+    """Also those of the last: the lighter of two edges that contradict each other decides."""
+    none = edges((3, 3, 0.0, False))
+    last = edges((0, 1, 0.03, True), (0, 1, 0.0001, False))
+    signs, _ = join_by_votes(4, [none, none, last])
+    assert signs.tolist() == [1, 1, 1, 1]
+
+
 def test_regions():
     """Edges between nodes of one kind join, the others do not."""
     ring = np.arange(6)

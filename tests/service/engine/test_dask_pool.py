@@ -192,8 +192,8 @@ def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
     log = tmp_path / "log"
 
     async def scenario(pool: DaskPool) -> None:
-        naps = [submit(pool, "nap", 2, str(log), name) for name in ("first", "second")]
-        await asyncio.sleep(0.7)
+        naps = [submit(pool, "nap", 5, str(log), name) for name in ("first", "second")]
+        await until(lambda: log.exists() and log.read_text() == "first\n")
         assert await pool.fetch(submit(pool, "chunk", 1, 1)) == 2
         assert log.read_text().split() == ["first"]
         assert not naps[0].done()
