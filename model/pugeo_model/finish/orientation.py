@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which side of the surface is outside.
 
-The network's normals have no sign. Signs are found on the sparse input, which is small, and
-handed on to the dense output: propagation over millions of points would be slow and would
-leave memory linear in the output.
+The network's normals have no sign. Those of a file, a viewpoint and a centre are looked up here. A
+tree over the input, which `orient` can grow where there is nothing else, is for clouds that were
+not made denser: `by_answer` knows better where there is an answer.
 """
 
 from typing import Any
