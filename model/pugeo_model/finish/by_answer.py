@@ -21,7 +21,7 @@ from pugeo_model.merge.elimination import reach_of_share
 __all__ = ["take_sides_by_answer"]
 
 _ALL = 5.0  # points a chart up to which all take part
-_MEMBERS = 4  # of each chart where there are more; the others follow the nearest of these
+_MEMBERS = 3  # of each chart where there are more; the others follow the nearest of these
 _FAR = 1.5  # reaches at which neighbours are looked for
 _WIDTH = 16  # longest list of them
 _NEAR = 6  # neighbours in the input
