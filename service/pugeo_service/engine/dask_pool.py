@@ -39,6 +39,8 @@ _CONFIG = {
     # No side doors: the ports that Dask insists on opening answer nothing.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    # Both threads of a worker, either of which may work, keep what they have freed in one place.
+    "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": "1",
     # Nothing waits in the scheduler for a place, or moves away from what it needs, because there
     # are many of its kind.
     "distributed.scheduler.rootish-taskgroup-dependencies": 0,
