@@ -7,8 +7,10 @@ import torch
 from scipy.spatial import cKDTree
 
 from pugeo_model import Cloud
-from pugeo_model.finish.joining import signs_of_parts, take_sides
-from pugeo_model.geometry.neighbours import nearest
+from pugeo_model.finish.by_answer import take_sides_by_answer
+from pugeo_model.finish.joining import signs_of_parts
+from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.merge.placement import shares
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
 from pugeo_model.pipeline import survey
@@ -163,8 +165,12 @@ def test_signs_across_tiles():
         rows = cut.rows
         mixed = true[rows] * rng.choice([-1.0, 1.0], (len(rows), 1))
         core = np.arange(len(rows)) < cut.core
-        near = nearest(points[rows])[1][:, :12]
-        sides.append(take_sides(rows, core, points[rows], mixed.astype(np.float32), near))
+        distances, near = nearest(points[rows])
+        near = np.ascontiguousarray(near[:, :12])
+        share = shares(spacing(distances), near)
+        mixed = mixed.astype(np.float32)
+        answer = points[rows[: cut.core]], mixed[: cut.core], np.arange(cut.core, dtype=np.int32)
+        sides.append(take_sides_by_answer(rows, core, points[rows], mixed, near, share, answer)[0])
     assert len(sides) > 4
     for side, signs in zip(sides, signs_of_parts(sides), strict=True):
         agreed = side.normals * signs[side.parts, None]

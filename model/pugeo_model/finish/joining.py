@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.finish.outside import Evidence, gather, outward
-from pugeo_model.finish.spanning import dots, join, relative_signs
+from pugeo_model.finish.spanning import dots, join
 
-__all__ = ["Sides", "sides_of", "signs_of_parts", "take_sides"]
+__all__ = ["Sides", "sides_of", "signs_of_parts"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,26 +38,6 @@ class Sides:
     evidence: Evidence
 
 
-def take_sides(
-    rows: NDArray[np.int32],
-    core: NDArray[np.bool_],
-    points: NDArray[np.float64],
-    normals: NDArray[np.float32],
-    neighbours: NDArray[np.integer[Any]],
-) -> Sides:
-    """Let the normals of a tile agree among themselves.
-
-    Args:
-        rows: ``(n,)`` int32 rows in the whole cloud.
-        core: ``(n,)``.
-        points: ``(n, 3)``, unit scale of the whole cloud.
-        normals: ``(n, 3)`` float32 unit, of any sign.
-        neighbours: ``(n, k)`` rows of the tile.
-    """
-    signs, parts = relative_signs(points, normals, neighbours)
-    return sides_of(rows, core, points, normals, signs, parts, neighbours)
-
-
 def sides_of(
     rows: NDArray[np.int32],
     core: NDArray[np.bool_],
@@ -67,7 +47,17 @@ def sides_of(
     parts: NDArray[np.intp],
     neighbours: NDArray[np.integer[Any]],
 ) -> Sides:
-    """The sides of a tile whose ``signs`` ``(n,)`` within ``parts`` ``(n,)`` are known."""
+    """The sides of a tile whose normals agree among themselves.
+
+    Args:
+        rows: ``(n,)`` int32 rows in the whole cloud.
+        core: ``(n,)``.
+        points: ``(n, 3)``, unit scale of the whole cloud.
+        normals: ``(n, 3)`` float32 unit, of any sign.
+        signs: ``(n,)`` -1 or 1, by which those of each part agree.
+        parts: ``(n,)`` connected part of each, numbered from 0.
+        neighbours: ``(n, k)`` rows of the tile.
+    """
     agreed = normals * signs[:, None].astype(np.float32)
     evidence = gather(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
     return Sides(rows, core, agreed, parts, evidence)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.errors import BadOption
-from pugeo_model.finish.joining import signs_of_parts, take_sides
-from pugeo_model.finish.spanning import dots
+from pugeo_model.finish.joining import sides_of, signs_of_parts
+from pugeo_model.finish.spanning import dots, relative_signs
 
 __all__ = ["METHODS", "method_of", "orient", "propagate"]
 
@@ -151,12 +151,7 @@ def _signs_of_tree(
 ) -> NDArray[np.float64]:
     # Float64 and near the origin: products of coordinates follow.
     points = points - points.mean(axis=0, dtype=np.float64)
-    sides = take_sides(
-        np.arange(len(points), dtype=np.int32),
-        np.ones(len(points), dtype=np.bool_),
-        points,
-        normals,
-        neighbours,
-    )
-    agreed = _signs(dots(normals, sides.normals))
-    return agreed * signs_of_parts([sides])[0][sides.parts]
+    signs, parts = relative_signs(points, normals, neighbours)
+    rows, core = np.arange(len(points), dtype=np.int32), np.ones(len(points), dtype=np.bool_)
+    sides = sides_of(rows, core, points, normals, signs, parts, neighbours)
+    return signs * signs_of_parts([sides])[0][parts]

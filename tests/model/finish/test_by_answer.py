@@ -6,7 +6,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pugeo_model.finish.by_answer import take_sides_by_answer
-from pugeo_model.finish.joining import signs_of_parts, take_sides
+from pugeo_model.finish.joining import signs_of_parts
+from pugeo_model.finish.orientation import orient
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.merge.placement import shares
 
@@ -59,8 +60,8 @@ def test_a_wall_thinner_than_the_input_is_sparse(members):
     # Nothing joins the faces at their rims here: each is right within itself, or wrong.
     for mine in (face, ~face):
         assert max(right[mine].mean(), 1 - right[mine].mean()) > 0.98
-    old = take_sides(rows, core, points, mixed(leaning, rng), near)
-    left = (old.normals * truth).sum(axis=1) > 0
+    old, _ = orient(points, mixed(leaning, rng), "mst", None, None, near)
+    left = (old * truth).sum(axis=1) > 0
     assert 0.05 < left[points[:, 2] > 0].mean() < 0.95
 
 
