@@ -277,12 +277,12 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     """Give normals their signs, carry colours and scalars over, put offset and scale back."""
     landed = Landed.join(points)
     tile, cloud = job.tile, job.cloud
+    share = shares(job.frames.spacing, job.neighbours)
     if tile.keeps_input:
         # The input's points lead; they landed in the order of the patches.
         own = np.argsort(job.order[job.core])
         landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
     elif job.denoised:
-        share = shares(job.frames.spacing, job.neighbours)
         evened = even_out(
             landed.points, landed.normals, landed.nearest, share, job.neighbours, job.core
         )
@@ -297,7 +297,7 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
             job.points,
             axes,
             graph,
-            shares(job.frames.spacing, job.neighbours),
+            share,
             (landed.points, landed.normals, landed.nearest),
         )
         normals = landed.normals * signs[:, None].astype(np.float32)
@@ -317,18 +317,17 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     dense = Cloud(placement.world(landed.points), normals, colors, scalars)
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
-    rim = None if job.core.all() else _rim(job, landed)
+    rim = None if job.core.all() else _rim(job, landed, share)
     return Piece(dense, parts, Border(sides, rim), job.noise, placement)
 
 
-def _rim(job: Job, landed: Landed) -> Rim:
+def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
     """The points whose charts have some of other tiles around them, or are such themselves."""
     inside = job.core[job.neighbours]
     around = job.core & inside.all(axis=1)
     rows = np.flatnonzero(~around[landed.nearest])
     owner = landed.nearest[rows]
-    share = shares(job.frames.spacing, job.neighbours) * (job.tile.core / job.tile.n_out)
-    reach = reach_of_share(share)[owner]
+    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[owner]
     if job.tile.keeps_input:
         reach[rows < job.tile.core] = 0.0
     outermost = ~(job.core & inside[:, :_TREE].all(axis=1))[owner]
