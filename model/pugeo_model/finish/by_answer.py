@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.finish.forest import Forest
 from pugeo_model.finish.joining import Sides, sides_of
 from pugeo_model.finish.spanning import Edges
 from pugeo_model.finish.voting import join_by_votes
@@ -66,10 +67,14 @@ def take_sides_by_answer(
     first = len(points)
     all_points, all_normals = np.concatenate([points, some]), np.concatenate([normals, ways])
     places = np.arange(first, first + len(mine), dtype=np.int32)
-    near = Edges.among(some, ways, crowd(some, mine, neighbours, reach, _WIDTH)).moved(first)
-    own = Edges.between(all_points, all_normals, mine, places, np.zeros(len(all_points)))
-    far = Edges.among(points, normals, neighbours[:, :_NEAR])
-    signs, parts = join_by_votes(len(all_points), [near, own, far])
+    forest = Forest(len(all_points))
+    near = Edges.among(some, ways, crowd(some, mine, neighbours, reach, _WIDTH))
+    join_by_votes(forest, near.moved(first))
+    unlimited = np.zeros(len(all_points))
+    join_by_votes(forest, Edges.between(all_points, all_normals, mine, places, unlimited))
+    if forest.parts > 1:
+        join_by_votes(forest, Edges.among(points, normals, neighbours[:, :_NEAR]))
+    signs, parts = forest.read()
     sides = sides_of(rows, core, points, normals, signs[:first], parts[:first], neighbours)
     agreed = ways * signs[first:, None].astype(np.float32)
     all_signs, member = np.empty(len(dense)), np.empty(len(dense), dtype=np.int32)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs of normals relative to each other: neighbours agree, along a minimum spanning tree."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Edges", "by_weight", "dots", "join", "join_in_order", "regions", "relative_signs"]
+from pugeo_model.finish.forest import Forest
+
+__all__ = ["Edges", "dots", "join", "relative_signs"]
 
 # Edges below this share of the local mean length are mistrusted. Found on the training meshes with
 # noise of 0 to 1 % of their size: 94 % of the signs come out right; 88 % without it, and 69 % with
@@ -102,56 +103,16 @@ def join(
     Args:
         count: number of nodes.
         left: ``(E,)`` node at one end of each edge.
-        right: ``(E,)`` at the other; edges to itself, or to numbers outside ``0..count-1``, are
-            skipped.
+        right: ``(E,)`` at the other; edges to numbers outside ``0..count-1`` are skipped.
         weights: ``(E,)``, none negative.
         opposite: ``(E,)`` whether the signs of the two ends differ.
 
     Returns:
-        Signs -1 or 1 ``(count,)``, that of the first node of each connected part 1, and the part
-        ``(count,)`` of each node, numbered from 0.
+        As `Forest.read`: signs -1 or 1 ``(count,)`` and the part ``(count,)`` of each node.
     """
-    return join_in_order(count, left, right, opposite, by_weight([weights]))
-
-
-def by_weight(kinds: Sequence[NDArray[np.float32]]) -> NDArray[np.int32]:
-    """Order of edges by their weights, none negative: all of the first kind, then the next.
-
-    The rows count through all kinds, one after the other.
-    """
-    starts = np.cumsum([0, *map(len, kinds)])[:-1]
-    orders = [_sorted(weights.view(np.uint32)) for weights in kinds]
-    order: NDArray[np.int32] = np.concatenate(
-        [each + np.int32(start) for each, start in zip(orders, starts, strict=True)]
-    )
-    return order
-
-
-def join_in_order(
-    count: int,
-    left: NDArray[np.integer[Any]],
-    right: NDArray[np.integer[Any]],
-    opposite: NDArray[np.bool_],
-    order: NDArray[np.integer[Any]],
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """`join` along edges in an order ``(E,)``, which may leave some out."""
-    signs, parts = np.empty(count), np.empty(count, dtype=np.intp)
-    _join(order, left, right, opposite, signs, parts)
-    return signs, parts
-
-
-def regions(
-    left: NDArray[np.integer[Any]], right: NDArray[np.integer[Any]], kind: NDArray[np.bool_]
-) -> NDArray[np.intp]:
-    """Connected part ``(M,)`` of each node, numbered from 0, by edges between nodes of one kind.
-
-    Args:
-        left: ``(E,)`` node at one end of each edge.
-        right: ``(E,)`` at the other.
-        kind: ``(M,)`` of the nodes.
-    """
-    alike = np.flatnonzero(kind[left] == kind[right])
-    return join_in_order(len(kind), left, right, np.zeros(len(left), dtype=np.bool_), alike)[1]
+    forest = Forest(count)
+    forest.join(left, right, opposite, _by_weight(weights.view(np.uint32)))
+    return forest.read()
 
 
 def dots(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
@@ -233,7 +194,7 @@ def _compare(
 
 
 @njit(cache=True, nogil=True)
-def _sorted(bits: NDArray[np.uint32]) -> NDArray[np.int32]:
+def _by_weight(bits: NDArray[np.uint32]) -> NDArray[np.int32]:
     """Stable order of float32 numbers, none negative, by their upper bits, eight at a time.
 
     Which of two edges comes first that differ by less than a hundredth decides nothing.
@@ -252,58 +213,3 @@ def _sorted(bits: NDArray[np.uint32]) -> NDArray[np.int32]:
             start[digit] += 1
         order, other = other, order
     return order
-
-
-@njit(cache=True, nogil=True)
-def _root(links: NDArray[np.int32], row: int) -> int:
-    """Link of a row to the root of its part; shortens the way there.
-
-    A link is twice the row that it leads to, and one more if the signs of the two differ: one look
-    into memory instead of two.
-    """
-    flip = 0
-    link = links[row]
-    while link >> 1 != row:
-        link = links[link >> 1] ^ (link & 1)
-        links[row] = link
-        flip ^= link & 1
-        row = link >> 1
-        link = links[row]
-    return 2 * row + flip
-
-
-@njit(cache=True, nogil=True)
-def _join(
-    order: NDArray[Any],
-    left: NDArray[Any],
-    right: NDArray[Any],
-    opposite: NDArray[Any],
-    signs: NDArray[Any],
-    parts: NDArray[Any],
-) -> None:
-    """Join parts along edges in their order."""
-    count = len(signs)
-    links = 2 * np.arange(count).astype(np.int32)
-    apart = count - 1
-    for edge in order:
-        i, j = left[edge], right[edge]
-        if apart == 0:
-            break
-        if not 0 <= j < count or j == i:
-            continue
-        here, there = _root(links, i), _root(links, j)
-        if here >> 1 != there >> 1:
-            low, high = min(here, there), max(here, there)
-            links[high >> 1] = (low & -2) + ((low ^ high ^ opposite[edge]) & 1)
-            apart -= 1
-    total = 0
-    for i in range(count):
-        link = _root(links, i)
-        root = link >> 1
-        signs[i] = -1.0 if link & 1 else 1.0
-        # The root is the lowest row of its part, so it has come already.
-        if root == i:
-            parts[i] = total
-            total += 1
-        else:
-            parts[i] = parts[root]

@@ -5,57 +5,68 @@ A tree hangs whole regions on one edge, and the lightest edge between the two fa
 wrong where most are right. Which edge that is, small changes of the weights decide. So two trees
 are grown, the second with weights changed by chance; the regions in which they agree with each
 other are all that is doubtful, and what these are to each other all edges between them decide.
+
+Before that come the edges that are sure, which are most: no order of theirs changes anything.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.finish.spanning import Edges, by_weight, join, join_in_order, regions
+from pugeo_model.finish.forest import Forest
+from pugeo_model.finish.spanning import Edges, join
 
 __all__ = ["join_by_votes"]
 
+_SURE = 0.003  # weight up to which an edge is believed: normals on one circle, to 4 degrees
 _HEAVY = 0.1  # weight of an edge whose vote counts half
-_LESS = 1e-4  # share of a vote that one of the next kind has: as good as none beside the first
 
 
-def join_by_votes(
-    count: int, kinds: Sequence[Edges]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Signs of nodes along edges, the first kind of edges before the second, and so on.
+def join_by_votes(forest: Forest, edges: Edges) -> None:
+    """Join the parts of a forest along edges, and let those be outvoted that are wrong.
 
     Args:
-        count: number of nodes.
-        kinds: edges between them; at least one.
-
-    Returns:
-        As `join`: signs -1 or 1 ``(count,)``, consistent within each connected part, and the part
-        ``(count,)`` of each node, numbered from 0.
+        forest: whose parts stay as they are within themselves.
+        edges: between its nodes.
     """
-    left, right, opposite = (
-        np.concatenate([getattr(edges, name) for edges in kinds])
-        for name in ("left", "right", "opposite")
-    )
-    rng = np.random.default_rng(0)
-    plain = [edges.weights for edges in kinds]
-    changed = [
-        weights * rng.standard_exponential(len(weights), dtype=np.float32) for weights in plain
-    ]
-    signs, parts = join_in_order(count, left, right, opposite, by_weight(plain))
-    other, _ = join_in_order(count, left, right, opposite, by_weight(changed))
+    rows = forest.join_sure(edges.left, edges.right, edges.opposite, edges.weights, _SURE)
+    if not len(rows):
+        return
+    # From here on nodes are the parts that are left.
+    ends = np.concatenate([edges.left[rows], edges.right[rows]])
+    roots, turned = forest.roots(ends)
+    nodes, places = np.unique(roots, return_inverse=True)
+    left, right = places.reshape(2, -1)
+    opposite = edges.opposite[rows] ^ np.logical_xor(*turned.reshape(2, -1))
+    signs, parts = _by_votes(len(nodes), left, right, edges.weights[rows], opposite)
+    first = nodes[np.unique(parts, return_index=True)[1]]
+    forest.join(first[parts], nodes, signs < 0)
+
+
+def _by_votes(
+    count: int,
+    left: NDArray[np.intp],
+    right: NDArray[np.intp],
+    weights: NDArray[np.float32],
+    opposite: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Arguments and answer as of `join`."""
+    chance = np.random.default_rng(0).standard_exponential(len(weights), dtype=np.float32)
+    signs, parts = join(count, left, right, weights, opposite)
+    other, _ = join(count, left, right, weights * chance, opposite)
     differs = signs != other
-    region = regions(left, right, differs)
+    alike = np.flatnonzero(differs[left] == differs[right])
+    agreed = Forest(count)
+    agreed.join(left, right, np.zeros_like(opposite), alike)
+    region = agreed.read()[1]
     between = np.flatnonzero(region[left] != region[right])
     if not len(between):
         return signs, parts
-    votes = np.concatenate(
-        [_LESS**rank / (1.0 + weights / _HEAVY) for rank, weights in enumerate(plain)]
-    )
+    votes = 1.0 / (1.0 + weights[between] / _HEAVY)
     left, right = left[between], right[between]
     agree = np.where(opposite[between], -signs[left], signs[left]) * signs[right]
-    pairs, value = _summed(region[left], region[right], agree * votes[between])
+    pairs, value = _summed(region[left], region[right], agree * votes)
     weights = (1.0 / (1e-12 + np.abs(value))).astype(np.float32)
     turned, groups = join(int(region.max()) + 1, *pairs, weights, value < 0)
     return signs * turned[region], groups[region]

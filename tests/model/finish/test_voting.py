@@ -4,8 +4,19 @@
 import numpy as np
 import pytest
 
-from pugeo_model.finish.spanning import Edges, join, regions
+from pugeo_model.finish.forest import Forest
+from pugeo_model.finish.spanning import Edges, join
 from pugeo_model.finish.voting import join_by_votes
+
+
+def voted(count: int, kinds: list[Edges]):
+    """Signs and parts of nodes, joined by one kind of edges after the other."""
+    forest = Forest(count)
+    for kind in kinds:
+        join_by_votes(forest, kind)
+    signs, parts = forest.read()
+    assert forest.parts == parts.max() + 1
+    return signs, parts
 
 
 def edges(*rows: tuple[int, int, float, bool]) -> Edges:
@@ -32,7 +43,7 @@ def test_many_outvote_one():
     plain, _ = join(20, both.left, both.right, both.weights, both.opposite)
     assert (plain[:10] == 1).all()
     assert (plain[10:] == -1).all()
-    signs, parts = join_by_votes(20, [both])
+    signs, parts = voted(20, [both])
     assert (signs == 1).all()
     assert (parts == 0).all()
 
@@ -40,7 +51,7 @@ def test_many_outvote_one():
 def test_where_both_trees_agree_nothing_changes():
     """An edge that is much surer than all others decides alone."""
     both = bars(1e-6)
-    signs, _ = join_by_votes(20, [both])
+    signs, _ = voted(20, [both])
     assert (signs[10:] == -signs[0]).all()
 
 
@@ -49,7 +60,7 @@ def test_the_next_kind_only_joins_what_is_apart(opposite: bool):
     """However light its edges are."""
     first = edges((0, 1, 1.9, opposite))
     second = edges((0, 1, 0.0, not opposite), (1, 2, 0.5, False))
-    signs, parts = join_by_votes(4, [first, second])
+    signs, parts = voted(4, [first, second])
     other = -1 if opposite else 1
     assert signs[:3].tolist() == [1, other, other]
     assert parts.tolist() == [0, 0, 0, 1]
@@ -59,12 +70,26 @@ def test_each_kind_goes_by_its_own_weights():
     """Also those of the last: the lighter of two edges that contradict each other decides."""
     none = edges((3, 3, 0.0, False))
     last = edges((0, 1, 0.03, True), (0, 1, 0.0001, False))
-    signs, _ = join_by_votes(4, [none, none, last])
+    signs, _ = voted(4, [none, none, last])
     assert signs.tolist() == [1, 1, 1, 1]
 
 
-def test_regions():
-    """Edges between nodes of one kind join, the others do not."""
-    ring = np.arange(6)
-    found = regions(ring, (ring + 1) % 6, np.array([True, True, False, False, True, True]))
-    assert found.tolist() == [0, 0, 1, 1, 0, 0]
+def test_parts_stay_as_they_are():
+    """What one kind has joined is turned over as a whole by the next, or not at all."""
+    first = edges((0, 1, 0.5, True), (2, 3, 0.5, False))
+    signs, parts = voted(4, [first, edges((1, 2, 0.5, True), (0, 2, 0.4, False))])
+    assert signs.tolist() == [1, -1, 1, 1]
+    assert (parts == 0).all()
+
+
+def test_sure_edges_and_others_come_to_one_verdict():
+    """Signs of a graph without contradictions are its own, in any order of its edges."""
+    rng = np.random.default_rng(3)
+    true = rng.choice([-1.0, 1.0], 400)
+    ends = rng.integers(400, size=(2, 2000))
+    weights = rng.choice([0.0, 0.001, 0.01, 0.2, 1.0], 2000)
+    opposite = true[ends[0]] != true[ends[1]]
+    signs, parts = voted(400, [edges(*zip(*ends.tolist(), weights, opposite, strict=True))])
+    for part in range(parts.max() + 1):
+        inside = parts == part
+        assert abs((signs * true)[inside].sum()) == inside.sum()
