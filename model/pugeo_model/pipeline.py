@@ -38,6 +38,7 @@ from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.geometry.shares import shares
 from pugeo_model.merge.atlas import (
     BLENDED,
     Atlas,
@@ -49,7 +50,7 @@ from pugeo_model.merge.atlas import (
     screened,
 )
 from pugeo_model.merge.elimination import reach_of_share
-from pugeo_model.merge.placement import even_out, place, shares
+from pugeo_model.merge.placement import even_out, place
 from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
 from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
@@ -112,7 +113,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
             f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
             limit=[count, int(MOST) * count],
         )
-    cuts, noise = cut_tiles(points, n_out, tile_size)
+    cuts, noise, typical = cut_tiles(points, n_out, tile_size)
     given = cleaned.normals is not None
     method = method_of(options.orient, options.viewpoint, has_normals=given)
     report = {
@@ -133,6 +134,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
         centroid=points.mean(axis=0),
         cuts=cuts,
         noise=noise,
+        spacing=typical,
         options=options,
         orient=method,
         n_out=n_out,
@@ -161,6 +163,7 @@ def prepare(tile: Tile) -> Job:
         points,
         neighbours,
         frames,
+        shares(frames.spacing, neighbours, tile.spacing),
         patches,
         frames.noise,
     )
@@ -241,7 +244,7 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
         new.error,
         new.nearest,
         job.tile.n_out,
-        shares(job.frames.spacing, job.neighbours),
+        job.share,
         job.neighbours,
         job.tile.seed,
         pinned,
@@ -277,14 +280,13 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     """Give normals their signs, carry colours and scalars over, put offset and scale back."""
     landed = Landed.join(points)
     tile, cloud = job.tile, job.cloud
-    share = shares(job.frames.spacing, job.neighbours)
     if tile.keeps_input:
         # The input's points lead; they landed in the order of the patches.
         own = np.argsort(job.order[job.core])
         landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
     elif job.denoised:
         evened = even_out(
-            landed.points, landed.normals, landed.nearest, share, job.neighbours, job.core
+            landed.points, landed.normals, landed.nearest, job.share, job.neighbours, job.core
         )
         landed = replace(landed, points=evened)
     placement, axes = tile.placement, job.frames.axes[:, 2]
@@ -297,7 +299,7 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
             job.points,
             axes,
             graph,
-            share,
+            job.share,
             (landed.points, landed.normals, landed.nearest),
         )
         normals = landed.normals * signs[:, None].astype(np.float32)
@@ -317,17 +319,17 @@ def finish(job: Job, points: Sequence[Landed]) -> Piece:
     dense = Cloud(placement.world(landed.points), normals, colors, scalars)
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
-    rim = None if job.core.all() else _rim(job, landed, share)
+    rim = None if job.core.all() else _rim(job, landed)
     return Piece(dense, parts, Border(sides, rim), job.noise, placement)
 
 
-def _rim(job: Job, landed: Landed, share: NDArray[np.float64]) -> Rim:
+def _rim(job: Job, landed: Landed) -> Rim:
     """The points whose charts have some of other tiles around them, or are such themselves."""
     inside = job.core[job.neighbours]
     around = job.core & inside.all(axis=1)
     rows = np.flatnonzero(~around[landed.nearest])
     owner = landed.nearest[rows]
-    reach = reach_of_share(share * (job.tile.core / job.tile.n_out))[owner]
+    reach = reach_of_share(job.share * (job.tile.core / job.tile.n_out))[owner]
     if job.tile.keeps_input:
         reach[rows < job.tile.core] = 0.0
     outermost = ~(job.core & inside[:, :_TREE].all(axis=1))[owner]

@@ -34,7 +34,7 @@ class Plan:
         placement: offset and scale taken out.
         centroid: ``(3,)``, unit scale.
         cuts: the tiles, see :mod:`pugeo_model.tiles`.
-        noise: of the whole cloud, ``None`` where the only tile finds out by itself.
+        noise, spacing: of the whole cloud, ``None`` where the only tile finds out by itself.
         options: as asked for.
         orient: the method that gives normals their signs, never ``auto``.
         n_out: points of the answer.
@@ -47,6 +47,7 @@ class Plan:
     centroid: NDArray[np.float64]
     cuts: list[Cut]
     noise: float | None
+    spacing: float | None
     options: Options
     orient: str
     n_out: int
@@ -85,6 +86,7 @@ class Plan:
             candidates=max(_FEWEST_CANDIDATES, wanted),
             keeps_input=self.keeps_input,
             noise=self.noise,
+            spacing=self.spacing,
             placement=self.placement,
             orient=self.orient,
             viewpoint=self.options.viewpoint,
@@ -105,6 +107,7 @@ class Job:
         points: ``(M, 3)`` float64, unit scale.
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one a point.
+        share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.shares`.
         patches: the units of work; their cores partition the points.
         noise: of the input as it came, see `noise_level`.
         denoised: the points are where those of a noisy input landed.
@@ -117,6 +120,7 @@ class Job:
     points: NDArray[np.float64]
     neighbours: NDArray[np.int32]
     frames: Frames
+    share: NDArray[np.float64]
     patches: list[Patch]
     noise: float
     denoised: bool = False

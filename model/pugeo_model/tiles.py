@@ -68,6 +68,7 @@ class Tile:
         keeps_input: the points of the core come back themselves, and the rest is spread among them.
         noise: of the whole cloud, see `noise_level`, or ``None`` where the tile is to find out by
             itself: it is the whole, or was denoised.
+        spacing: that half of the whole cloud's points have at most, or ``None`` of the whole.
         placement: offset and scale taken out.
         orient: how normals get their signs, never ``auto``.
         viewpoint: in the cloud's own frame and units.
@@ -83,6 +84,7 @@ class Tile:
     candidates: int
     keeps_input: bool
     noise: float | None
+    spacing: float | None
     placement: Placement
     orient: str
     viewpoint: tuple[float, float, float] | None
@@ -92,7 +94,7 @@ class Tile:
 
 def cut_tiles(
     points: NDArray[np.float64], n_out: int, size: int | None = None
-) -> tuple[list[Cut], float | None]:
+) -> tuple[list[Cut], float | None, float | None]:
     """Cut a cloud into tiles.
 
     Args:
@@ -101,14 +103,14 @@ def cut_tiles(
         size: input points of a core at most; by default as many as ``n_out`` allows.
 
     Returns:
-        The tiles, whose cores partition the cloud, and the cloud's noise, which one tile alone
-        cannot know: see :class:`Frames`. ``None`` for a cloud in one piece.
+        The tiles, whose cores partition the cloud; and what one tile alone cannot know, the cloud's
+        noise and its typical spacing, see :class:`Tile`, which are ``None`` for one in one piece.
     """
     count = len(points)
     if size is None:
         size = min(max(_POINTS_OUT * count // n_out, _FEWEST), _MOST)
     if count <= _WHOLE * size:
-        return [Cut(np.arange(count, dtype=np.int32), count, n_out)], None
+        return [Cut(np.arange(count, dtype=np.int32), count, n_out)], None, None
     cores = chunks(points, size)
     margins = _margins(points, cores)
     ends = [n_out * at // count for at in np.cumsum([0] + [len(core) for core in cores]).tolist()]
@@ -118,7 +120,7 @@ def cut_tiles(
             cores, margins, itertools.pairwise(ends), strict=True
         )
     ]
-    return cuts, _noise(points, cuts[:: -(-len(cuts) // _SURVEYED)])
+    return cuts, *_noise_and_spacing(points, cuts[:: -(-len(cuts) // _SURVEYED)])
 
 
 def _margins(
@@ -152,9 +154,9 @@ def _typical_spacing(tree: cKDTree) -> float:
     return float(np.quantile(distances[:, 1:].mean(axis=1), 0.9))
 
 
-def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
-    """The noise of a cloud, by points of some tiles."""
-    found = []
+def _noise_and_spacing(points: NDArray[np.float64], cuts: list[Cut]) -> tuple[float, float]:
+    """The noise of a cloud and its typical spacing, by points of some tiles."""
+    residuals, spacings = [], []
     for cut in cuts:
         here = points[cut.rows]
         some = np.arange(0, cut.core, max(1, cut.core // _SAMPLED))
@@ -162,5 +164,6 @@ def _noise(points: NDArray[np.float64], cuts: list[Cut]) -> float:
         # Residuals are those of the leading rows, so the sampled points are put there once more.
         near = (rows[:, 1:] + len(some)).astype(np.int32)
         stacked = np.concatenate([here[some], here])
-        found.append(rough_residuals(stacked, near, spacing(distances[:, 1:].astype(np.float32))))
-    return noise_level(np.concatenate(found))
+        spacings.append(spacing(distances[:, 1:].astype(np.float32)))
+        residuals.append(rough_residuals(stacked, near, spacings[-1]))
+    return noise_level(np.concatenate(residuals)), float(np.median(np.concatenate(spacings)))

@@ -10,7 +10,7 @@ from pugeo_model import Cloud
 from pugeo_model.finish.by_answer import take_sides_by_answer
 from pugeo_model.finish.joining import signs_of_parts
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.merge.placement import shares
+from pugeo_model.geometry.shares import shares
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
 from pugeo_model.pipeline import survey
@@ -49,7 +49,7 @@ def dense(upsampler, cloud, options, size=None):
 
 def test_cores_partition_the_cloud(ball):
     """Every point is in one core; margins hold all within reach; shares of the answer add up."""
-    cuts, noise = cut_tiles(ball, 16_001, SIZE)
+    cuts, noise, typical = cut_tiles(ball, 16_001, SIZE)
     assert len(cuts) == 4
     cores = [cut.rows[: cut.core] for cut in cuts]
     np.testing.assert_array_equal(np.sort(np.concatenate(cores)), np.arange(4000))
@@ -57,6 +57,7 @@ def test_cores_partition_the_cloud(ball):
     assert noise is not None
     assert noise < 0.02
     spacing = nearest(ball)[0][:, :8].mean()
+    assert typical == pytest.approx(spacing, rel=0.03)
     for cut in cuts:
         near = cKDTree(ball[cut.rows[: cut.core]]).query(ball)[0] < 6 * spacing
         assert set(np.flatnonzero(near)) <= set(cut.rows)
@@ -65,9 +66,9 @@ def test_cores_partition_the_cloud(ball):
 
 def test_small_clouds_stay_whole(ball):
     """A margin that costs more than it saves is not made."""
-    cuts, noise = cut_tiles(ball, 16_000)
+    cuts, *found = cut_tiles(ball, 16_000)
     assert [(cut.core, cut.n_out) for cut in cuts] == [(4000, 16_000)]
-    assert noise is None
+    assert found == [None, None]
 
 
 def test_no_seam_shows(upsampler, ball):

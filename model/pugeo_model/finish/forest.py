@@ -64,8 +64,9 @@ class Forest:
         return found >> 1, (found & 1).astype(np.bool_)
 
     def read(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Signs -1 or 1 ``(count,)``, that of the lowest row of each part 1, and the part
-        ``(count,)`` of each node, numbered from 0 in the order of these rows.
+        """Signs -1 or 1 and parts of all nodes, ``(count,)`` each.
+
+        The sign of the lowest row of each part is 1; parts are numbered in the order of these rows.
         """
         signs, parts = np.empty(len(self._links)), np.empty(len(self._links), dtype=np.intp)
         _read(self._links, signs, parts)

@@ -5,13 +5,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.geometry.shares import averaged
 from pugeo_model.merge.crowd import crowd
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 from pugeo_model.merge.repulsion import repel
 
-__all__ = ["even_out", "nearest_charts", "place", "shares"]
+__all__ = ["even_out", "nearest_charts", "place"]
 
-_AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
 _NEAR_CHARTS = 12  # charts searched around a sample
 _CROWD = 16  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
@@ -26,20 +26,9 @@ _MOST = 5.2  # with more, tips of thin fins are overshot
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
 _FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
 _ROUNDS = 6
-_WIDE = 8  # times that shares, and errors, are averaged over neighbours
+_WIDE = 8  # times that errors are averaged over neighbours
 _LOCAL = 2  # times that the number left of each chart is
 _LEVELLING = 6  # power of a region's density by which its weights grow
-
-
-def shares(spacing: NDArray[np.float32], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Surface area that each input point stands for, ``(M,)``, unit scale.
-
-    Averaged over neighbours far and wide: the density of the input is followed, its accidents are
-    not.
-    """
-    area = _AREA * spacing.astype(np.float64) ** 2
-    share: NDArray[np.float64] = _averaged(area, neighbours, _WIDE)
-    return share
 
 
 def place(
@@ -64,7 +53,7 @@ def place(
         error: ``(C,)`` float32 that each expects of itself, in spacings.
         owner: ``(C,)`` int32 nearest chart of each.
         wanted: number of points of the core's charts, at most as many as their candidates.
-        share: ``(M,)`` area of each chart, see :func:`shares`.
+        share: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
         pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these may
@@ -95,7 +84,7 @@ def place(
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
         """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
         left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
-        density = _averaged(left, neighbours, _LOCAL) / left[core].mean()
+        density = averaged(left, neighbours, _LOCAL) / left[core].mean()
         weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** _LEVELLING
         return weight
 
@@ -119,20 +108,6 @@ def place(
     return stay, spots[mine], owner[mine]
 
 
-@njit(cache=True, nogil=True)
-def _averaged(values, neighbours, times):  # type: ignore[no-untyped-def]
-    """Means over neighbours, of means over neighbours, and so on."""
-    now, after = values.copy(), np.empty_like(values)
-    for _ in range(times):
-        for i in range(len(neighbours)):
-            total = 0.0
-            for near in neighbours[i]:
-                total += now[near]
-            after[i] = total / neighbours.shape[1]
-        now, after = after, now
-    return now
-
-
 def even_out(
     points: NDArray[np.float64],
     normals: NDArray[np.float32],
@@ -150,7 +125,7 @@ def even_out(
         points: ``(K, 3)`` of the core's charts.
         normals: ``(K, 3)`` unit.
         owner: ``(K,)`` nearest chart of each.
-        share: ``(M,)`` area of each chart, see :func:`shares`.
+        share: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.shares`.
         neighbours: ``(M, k)`` charts near each chart.
         core: ``(M,)`` charts whose points these are.
     """
@@ -198,7 +173,7 @@ def _doubt(
     """
     charts = len(near)
     count = np.maximum(np.bincount(owner, minlength=charts), 1)
-    around = _averaged(np.bincount(owner, error, charts) / count, near, _WIDE)
+    around = averaged(np.bincount(owner, error, charts) / count, near, _WIDE)
     excess = error / np.maximum(around[owner], 1e-12) - usual
     burden: NDArray[np.float64] = _DOUBT * np.maximum(excess, 0.0)
     return burden

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.merge.atlas import BLENDED, Landed
-from pugeo_model.merge.placement import nearest_charts, place, shares
+from pugeo_model.merge.placement import nearest_charts, place
 from pugeo_model.metrics.reconstruction import reconstruct
 from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.network.pattern import disk
@@ -142,7 +142,7 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
         candidates.error,
         candidates.nearest,
         plan.n_out,
-        shares(job.frames.spacing, job.neighbours),
+        job.share,
         job.neighbours,
         seed=0,
     )

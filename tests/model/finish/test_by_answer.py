@@ -9,7 +9,7 @@ from pugeo_model.finish.by_answer import take_sides_by_answer
 from pugeo_model.finish.joining import signs_of_parts
 from pugeo_model.finish.orientation import orient
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.merge.placement import shares
+from pugeo_model.geometry.shares import shares
 
 SIDE = 26
 

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.merge.placement import even_out, place, shares
+from pugeo_model.geometry.shares import shares
+from pugeo_model.merge.placement import even_out, place
 from pugeo_model.metrics.clouds import evenness
 
 
@@ -22,19 +23,6 @@ def plane():
 
 def up(count):
     return np.tile(np.array([0, 0, 1], dtype=np.float32), (count, 1))
-
-
-def test_shares_follow_density_far_and_wide():
-    """A cloud four times as dense on one side: shares there are a quarter, and smooth."""
-    rng = np.random.default_rng(0)
-    dense, sparse = rng.random((4000, 3)), rng.random((1000, 3)) + [1, 0, 0]
-    points = np.concatenate([dense, sparse]) * [1, 1, 0]
-    distances, neighbours = nearest(points)
-    share = shares(spacing(distances), neighbours)
-    assert share[points[:, 0] > 1.5].mean() / share[points[:, 0] < 0.5].mean() == pytest.approx(
-        4, rel=0.1
-    )
-    assert share[points[:, 0] < 0.5].std() < 0.1 * share[points[:, 0] < 0.5].mean()
 
 
 def test_doubt_costs_a_region_no_points(plane):
