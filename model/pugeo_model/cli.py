@@ -148,6 +148,9 @@ def train(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of weights and batches.")] = None,
     threads: Annotated[int | None, typer.Option(help="Torch threads.")] = None,
+    start: Annotated[
+        str | None, typer.Option(help="Weights to start from: released, or a .safetensors file.")
+    ] = None,
     name: Annotated[str | None, typer.Option(help="Of the weights [the recipe's].")] = None,
     every: Annotated[int, typer.Option(help="Steps between checkpoints.")] = 500,
 ) -> None:
@@ -157,7 +160,7 @@ def train(
     from pugeo_model.training.recipes import read_recipe
     from pugeo_model.training.run import load_shapes, run
 
-    chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads}
+    chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads, "start": start}
     wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})
     with _bar("{task.fields[info]}") as bar:
         task = bar.add_task("sample", total=None, info="")

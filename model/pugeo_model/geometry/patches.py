@@ -7,7 +7,7 @@ neighbours of the one inside it); the last rows are only ever looked at as neigh
 therefore slices and never searches.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -15,11 +15,26 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
 
-__all__ = ["EDGE", "MESSAGES", "POSE", "SCALARS", "Patch", "cut", "edges", "poses", "scalars"]
+__all__ = [
+    "EDGE",
+    "MESSAGES",
+    "NOISY_ROUNDS",
+    "POSE",
+    "ROUNDS",
+    "SCALARS",
+    "Patch",
+    "cut",
+    "edges",
+    "poses",
+    "scalars",
+]
 
-MESSAGES: tuple[tuple[int, int, int], ...] = ((0, 12, 1), (1, 24, 2))
-"""Neighbour columns ``(start, stop, step)`` of each round: the nearest 12, then 12 of the first 24
-spread wider, which doubles the reach at the same cost."""
+MESSAGES: tuple[tuple[int, int, int], ...] = ((1, 32, 3), (0, 12, 1), (1, 24, 2))
+"""Neighbour columns ``(start, stop, step)`` of each round: 11 of all, the nearest 12, then 12 of
+the first 24, which doubles the reach at the same cost. A network of fewer takes the last."""
+
+ROUNDS, NOISY_ROUNDS = 2, 3
+"""Rounds that patches are cut for, of inputs without and with noise: that asks for a wider view."""
 
 EDGE = 5
 """Numbers on an edge of the neighbourhood: x, y, z, height above the quadric, distance."""
@@ -53,20 +68,33 @@ class Patch:
     neighbours: NDArray[np.int32]
     frames: Frames
 
+    def inner(self, rounds: int) -> "Patch":
+        """The same for so many rounds only, which are at most those that it was cut for."""
+        if rounds == len(self.rings):
+            return self
+        rings = self.rings[-rounds:]
+        return replace(
+            self,
+            rings=rings,
+            neighbours=self.neighbours[: rings[0]],
+            frames=self.frames.take(slice(rings[0])),
+        )
+
 
 def cut(
     core: NDArray[np.int32],
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     frames: Frames,
+    rounds: int = ROUNDS,
 ) -> Patch:
-    """The patch around ``core`` (rows of the cloud) with its rings of neighbours."""
+    """The patch around ``core`` (rows of the cloud) with its rings of neighbours, one a round."""
     count = len(points)
     place = np.full(count, -1, dtype=np.int32)
     rows = core
     place[rows] = np.arange(len(rows), dtype=np.int32)
     sizes: list[int] = [len(rows)]
-    reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES), None]
+    reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES[-rounds:]), None]
     for reach in reaches:
         start, stop, step = reach or (0, neighbours.shape[1], 1)
         fresh = np.sort(_outside(rows, neighbours, start, stop, step, place))
@@ -80,13 +108,7 @@ def cut(
         rings=tuple(reversed(sizes[1:-1])),
         points=points[rows],
         neighbours=place[neighbours[framed]],
-        frames=Frames(
-            frames.axes[framed],
-            frames.spacing[framed],
-            frames.quadric[framed],
-            frames.residual[framed],
-            frames.noise,
-        ),
+        frames=frames.take(framed),
     )
 
 

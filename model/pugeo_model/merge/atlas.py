@@ -35,6 +35,7 @@ class PatchCharts:
         T: ``(n, 3, 3)`` float32, in canonical frames.
         code: ``(n, width)`` float16, what the surface head needs of the feature.
         lift: ``(n,)`` float32, in spacings.
+        noisy: whether the model's network for noisy inputs made them.
     """
 
     rows: NDArray[np.int32]
@@ -42,6 +43,7 @@ class PatchCharts:
     T: NDArray[np.float32]
     code: NDArray[np.float16]
     lift: NDArray[np.float32]
+    noisy: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,7 @@ class Atlas:
     T: NDArray[np.float32]
     code: NDArray[np.float16]
     lift: NDArray[np.float32]
+    noisy: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class Landing:
         points: ``(n, 3)`` float64; the rest as in :class:`PatchCharts` and ``Frames``.
         nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
         fixed: the spots stay where they are and only get normals.
+        noisy: as in :class:`PatchCharts`.
     """
 
     spots: NDArray[np.float64]
@@ -77,6 +81,7 @@ class Landing:
     lift: NDArray[np.float32]
     nearest: NDArray[np.int32]
     fixed: bool
+    noisy: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +123,7 @@ def bind(charts: Sequence[PatchCharts]) -> Atlas:
         np.concatenate([part.T for part in charts])[back],
         np.concatenate([part.code for part in charts])[back],
         np.concatenate([part.lift for part in charts])[back],
+        charts[0].noisy,
     )
 
 
@@ -175,6 +181,7 @@ def parcels(
                 lift=atlas.lift[used],
                 nearest=near[part, 0],
                 fixed=fixed,
+                noisy=atlas.noisy,
             )
         )
     return found

@@ -88,7 +88,7 @@ def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> d
             "command": (
                 f"pugeo train {meshes.name} --out RUN --val VAL --recipe {Path(recipe_name).name}"
                 f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
-                f" --name {name}"
+                f" --name {name}" + (f" --start {Path(recipe.start).name}" if recipe.start else "")
             ),
             "recipe": recipe.to_json(),
             "steps": trainer.step,

@@ -20,6 +20,7 @@ from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
 from pugeo_model.training.losses import JointLoss, Weights
 from pugeo_model.training.optimizer import Optimizer
+from pugeo_model.weights import start_from
 
 __all__ = ["Recipe", "Trainer", "learning_rate"]
 
@@ -40,6 +41,8 @@ class Recipe:
         clip: bound on the gradient's norm.
         seed: of weights, batches and draws.
         threads: torch threads.
+        start: weights to start from, a released name or a ``.safetensors`` file of this
+            architecture; from chance if ``None``.
     """
 
     architecture: Architecture = field(default_factory=Architecture)
@@ -53,10 +56,14 @@ class Recipe:
     clip: float = 1.0
     seed: int = 0
     threads: int = 1
+    start: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain types only, for the model card."""
-        return {**asdict(self), "architecture": self.architecture.to_json()}
+        raw = {**asdict(self), "architecture": self.architecture.to_json()}
+        if self.start is None:
+            del raw["start"]
+        return raw
 
 
 def learning_rate(recipe: Recipe, step: int) -> float:
@@ -93,6 +100,8 @@ class Trainer:
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []
         self.net = PUGeoNet(recipe.architecture)
+        if recipe.start is not None:
+            start_from(self.net, recipe.start)
         self.optimizer = Optimizer(self.net, recipe.rate, recipe.decay)
         self.loss = JointLoss(shapes, recipe.weights)
         self.step = 0
@@ -120,7 +129,9 @@ class Trainer:
             tick: called after every step.
         """
         recipe = self.recipe
-        batches = Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
+        batches = Batches(
+            self.shapes, recipe.mix, recipe.seed, recipe.steps, recipe.architecture.rounds
+        )
         loader = DataLoader(
             batches,
             batch_size=None,
@@ -156,7 +167,7 @@ class Trainer:
             return {}
         loss = JointLoss(self.validation, self.recipe.weights)
         clean = Mix(noisy=0, random=0, ramp=0, cut=0, lines=0)
-        batches = Batches(self.validation, clean, seed=1, steps=steps)
+        batches = Batches(self.validation, clean, 1, steps, self.recipe.architecture.rounds)
         sums: dict[str, float] = {}
         self.net.eval()
         with torch.no_grad():

@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.patches import MESSAGES, cut, edges, poses
+from pugeo_model.geometry.patches import MESSAGES, ROUNDS, cut, edges, poses
 
 
-def patch_of(points, core):
+def patch_of(points, core, rounds=ROUNDS):
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances))
-    return cut(core, points, neighbours, frames), neighbours, frames
+    return cut(core, points, neighbours, frames, rounds), neighbours, frames
 
 
-def test_rings_hold_all_neighbours(sphere):
+@pytest.mark.parametrize(("cut_for", "rounds"), [(2, 2), (3, 3), (3, 2)])
+def test_rings_hold_all_neighbours(sphere, cut_for, rounds):
     """Each ring's rows find all senders of their round within the ring before."""
-    patch, neighbours, _ = patch_of(sphere, np.arange(0, 300, 3, dtype=np.int32))
+    core = np.arange(0, 300, 3, dtype=np.int32)
+    patch, neighbours, _ = patch_of(sphere, core, cut_for)
+    patch = patch.inner(rounds)
     limits = (*patch.rings, patch.core)
-    for turn, reach in enumerate(MESSAGES):
+    assert len(limits) == rounds + 1
+    assert len(patch.neighbours) == len(patch.frames.axes) == patch.rings[0]
+    for turn, reach in enumerate(MESSAGES[-rounds:]):
         rows, before = limits[turn + 1], limits[turn]
         assert patch.neighbours[:rows, slice(*reach)].max() < before
     assert patch.neighbours.max() < len(patch.rows)
@@ -50,7 +56,7 @@ def test_edges_ignore_rotation_scale_and_place(sphere):
 def test_pose_of_a_frame_seen_from_itself(sphere):
     """A pose's rotation is the product of both frames, its positions seen from both sides."""
     patch, _, _ = patch_of(sphere, np.arange(50, dtype=np.int32))
-    pose = poses(patch, 50, MESSAGES[0])[2, 11]
+    pose = poses(patch, 50, (0, 12, 1))[2, 11]
     other = patch.neighbours[11, 2]
     f = patch.frames
     np.testing.assert_allclose(pose[3:12].reshape(3, 3), f.axes[11] @ f.axes[other].T, atol=1e-5)
