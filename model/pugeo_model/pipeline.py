@@ -37,7 +37,7 @@ from pugeo_model.finish.seams import Rim, part
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.patches import NOISY_ROUNDS, ROUNDS, Patch, cut
+from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.geometry.shares import shares
 from pugeo_model.merge.atlas import (
     BLENDED,
@@ -82,6 +82,9 @@ __all__ = [
 # Spacings that half of the input's points move at most, when they land, of an input without noise:
 # to 0.002 on clean and even validation inputs, to 0.023 on random ones, 0.04 to 0.18 with 1 %.
 _EXACT = 0.03
+# Spacings: even validation inputs with 1 % of noise have 0.11 to 0.28, with 2 % 0.2 to 0.4. Without
+# any most have less, but much detail makes up to 0.22.
+_NOISY = 0.1
 _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost time, mend little
 _NONE = np.empty((0, 0), dtype=np.int32)
 
@@ -148,9 +151,8 @@ def prepare(tile: Tile) -> Job:
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
     ends = np.cumsum([0] + [len(part) for part in parts])
-    rounds = NOISY_ROUNDS if frames.noisy else ROUNDS
     patches = [
-        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames, rounds)
+        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
         for start, stop in itertools.pairwise(ends)
     ]
     return Job(
@@ -169,7 +171,7 @@ def prepare(tile: Tile) -> Job:
 
 def noisy(job: Job) -> bool:
     """Whether the input's points may be off the surface, are free to move, and have not yet."""
-    return job.frames.noisy and not job.tile.keeps_input and not job.denoised
+    return job.noise > _NOISY and not job.tile.keeps_input and not job.denoised
 
 
 def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:

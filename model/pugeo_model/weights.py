@@ -14,12 +14,11 @@ if TYPE_CHECKING:
 __all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
 
 _RELEASED = Path(__file__).parent / "released"
-_NOISY = "-noisy"  # behind the name of weights: those beside them, for inputs with noise
 
 
 def available() -> list[str]:
     """Names of the weights inside the package."""
-    return sorted(p.stem for p in _RELEASED.glob("*.safetensors") if not p.stem.endswith(_NOISY))
+    return sorted(path.stem for path in _RELEASED.glob("*.safetensors"))
 
 
 def locate(name_or_path: str | Path) -> Path:
@@ -45,55 +44,30 @@ def locate(name_or_path: str | Path) -> Path:
 def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     """The model card of released or own weights, with the weights' ``sha256``.
 
-    Where ``NAME-noisy.safetensors`` lies beside them, ``noisy`` is the card of these, and the
-    checksum that of both files, one after the other.
-
     Raises:
         BadOption: no such weights.
     """
     path = locate(name_or_path)
-    digest = hashlib.sha256(path.read_bytes())
-    card = _card(path)
-    noisy = _noisy(path)
-    if noisy is not None:
-        digest.update(noisy.read_bytes())
-        card["noisy"] = _card(noisy)
-    card["sha256"] = digest.hexdigest()
-    return card
-
-
-def _noisy(path: Path) -> Path | None:
-    """The weights beside others that take inputs with noise, if there are any."""
-    beside = path.with_stem(path.stem + _NOISY)
-    return beside if beside.is_file() else None
-
-
-def _card(path: Path) -> dict[str, Any]:
     card: dict[str, Any] = json.loads(path.with_suffix(".json").read_text("utf-8"))
+    card["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
     return card
 
 
 def load(name_or_path: str | Path = "standard") -> "Model":
-    """Rebuild the networks of a card and fill in their weights.
+    """Rebuild the network of a card and fill in its weights.
 
     Raises:
         BadOption: no such weights.
     """
-    from pugeo_model.network.model import Model
-
-    path = locate(name_or_path)
-    noisy = _noisy(path)
-    return Model(_rebuilt(path), read_card(path), None if noisy is None else _rebuilt(noisy))
-
-
-def _rebuilt(path: Path) -> Any:
     from safetensors.torch import load_file
 
+    from pugeo_model.network.model import Model
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
-    net = PUGeoNet(Architecture.from_json(_card(path)["architecture"]))
-    net.load_state_dict(load_file(path))
-    return net
+    card = read_card(name_or_path)
+    net = PUGeoNet(Architecture.from_json(card["architecture"]))
+    net.load_state_dict(load_file(locate(name_or_path)))
+    return Model(net, card)
 
 
 def start_from(net: Any, name_or_path: str | Path) -> None:
@@ -104,15 +78,14 @@ def start_from(net: Any, name_or_path: str | Path) -> None:
     """
     from safetensors.torch import load_file
 
-    path = locate(name_or_path)
-    made = _card(path)["architecture"]
+    made = read_card(name_or_path)["architecture"]
     wanted = net.architecture.to_json()
     if made != wanted:
         raise BadOption(
             f"{str(name_or_path)!r} has the architecture {made}, the recipe {wanted}",
             value=str(name_or_path),
         )
-    net.load_state_dict(load_file(path))
+    net.load_state_dict(load_file(locate(name_or_path)))
 
 
 def save(net: Any, card: dict[str, Any], path: Path) -> None:

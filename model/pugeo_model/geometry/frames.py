@@ -24,9 +24,6 @@ _WIDEST = 3.0  # on the noisiest: 32 neighbours reach no further
 _NOISE_GAIN = 6.0  # spacings of support per spacing of height residual
 _NOTHING = 30.0  # exponent beyond which a weight is none
 _NOISE_QUANTILE = 0.1
-# Even validation inputs with 1 % of noise have 0.11 to 0.28, with 2 % 0.2 to 0.4. Without any most
-# have less, but much detail makes up to 0.22.
-_NOISY = 0.1
 _CLEAN = 0.06  # residual, in spacings, that curvature alone leaves on clean input
 
 
@@ -47,17 +44,6 @@ class Frames:
     quadric: NDArray[np.float32]
     residual: NDArray[np.float32]
     noise: float
-
-    @property
-    def noisy(self) -> bool:
-        """Whether points of the cloud may be off the surface."""
-        return self.noise > _NOISY
-
-    def take(self, rows: NDArray[np.integer[Any]] | slice) -> "Frames":
-        """The frames of some points."""
-        return Frames(
-            self.axes[rows], self.spacing[rows], self.quadric[rows], self.residual[rows], self.noise
-        )
 
 
 def fit_frames(

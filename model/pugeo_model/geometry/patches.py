@@ -7,7 +7,7 @@ neighbours of the one inside it); the last rows are only ever looked at as neigh
 therefore slices and never searches.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -15,36 +15,24 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
 
-__all__ = [
-    "EDGE",
-    "MESSAGES",
-    "NOISY_ROUNDS",
-    "POSE",
-    "ROUNDS",
-    "SCALARS",
-    "Patch",
-    "cut",
-    "edges",
-    "poses",
-    "scalars",
-]
+__all__ = ["EDGE", "MESSAGES", "POSE", "SCALARS", "Patch", "cut", "edges", "poses", "scalars"]
 
-MESSAGES: tuple[tuple[int, int, int], ...] = ((1, 32, 3), (0, 12, 1), (1, 24, 2))
-"""Neighbour columns ``(start, stop, step)`` of each round: 11 of all, the nearest 12, then 12 of
-the first 24, which doubles the reach at the same cost. A network of fewer takes the last."""
-
-ROUNDS, NOISY_ROUNDS = 2, 3
-"""Rounds that patches are cut for, of inputs without and with noise: that asks for a wider view."""
+MESSAGES: tuple[tuple[int, int, int], ...] = ((0, 12, 1), (1, 24, 2))
+"""Neighbour columns ``(start, stop, step)`` of each round: the nearest 12, then 12 of the first 24
+spread wider, which doubles the reach at the same cost."""
 
 EDGE = 5
 """Numbers on an edge of the neighbourhood: x, y, z, height above the quadric, distance."""
 
-POSE = 16
-"""Numbers on a message: position, relative rotation (9), position seen back, log scale."""
+POSE = 20
+"""Numbers on a message: position, relative rotation (9), position seen back, log scale; how far
+above the receiver the sender's quadric passes, its normal there (2), the sender above the
+receiver's."""
 
 SCALARS = 9
 """Numbers on a point: quadric (6), residual, residual over noise, noise of the cloud."""
 
+_GAIN = np.float32(4.0)  # heights between fits are small beside distances
 _FAR = 8.0  # spacings; an isolated point's neighbours must not blow up the network's inputs
 
 
@@ -68,33 +56,20 @@ class Patch:
     neighbours: NDArray[np.int32]
     frames: Frames
 
-    def inner(self, rounds: int) -> "Patch":
-        """The same for so many rounds only, which are at most those that it was cut for."""
-        if rounds == len(self.rings):
-            return self
-        rings = self.rings[-rounds:]
-        return replace(
-            self,
-            rings=rings,
-            neighbours=self.neighbours[: rings[0]],
-            frames=self.frames.take(slice(rings[0])),
-        )
-
 
 def cut(
     core: NDArray[np.int32],
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     frames: Frames,
-    rounds: int = ROUNDS,
 ) -> Patch:
-    """The patch around ``core`` (rows of the cloud) with its rings of neighbours, one a round."""
+    """The patch around ``core`` (rows of the cloud) with its rings of neighbours."""
     count = len(points)
     place = np.full(count, -1, dtype=np.int32)
     rows = core
     place[rows] = np.arange(len(rows), dtype=np.int32)
     sizes: list[int] = [len(rows)]
-    reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES[-rounds:]), None]
+    reaches: list[tuple[int, int, int] | None] = [*reversed(MESSAGES), None]
     for reach in reaches:
         start, stop, step = reach or (0, neighbours.shape[1], 1)
         fresh = np.sort(_outside(rows, neighbours, start, stop, step, place))
@@ -108,7 +83,13 @@ def cut(
         rings=tuple(reversed(sizes[1:-1])),
         points=points[rows],
         neighbours=place[neighbours[framed]],
-        frames=frames.take(framed),
+        frames=Frames(
+            frames.axes[framed],
+            frames.spacing[framed],
+            frames.quadric[framed],
+            frames.residual[framed],
+            frames.noise,
+        ),
     )
 
 
@@ -139,8 +120,9 @@ def poses(patch: Patch, rows: int, reach: tuple[int, int, int]) -> NDArray[np.fl
     """Where each neighbour's frame lies in its point's frame, ``(k', rows, POSE)`` float32."""
     columns = np.ascontiguousarray(patch.neighbours[:rows, slice(*reach)])
     out = np.empty((*columns.T.shape, POSE), dtype=np.float32)
-    scale = np.log(patch.frames.spacing)
-    _poses(patch.points, columns, patch.frames.axes, patch.frames.spacing, scale, out)
+    frames = patch.frames
+    scale = np.log(frames.spacing)
+    _poses(patch.points, columns, frames.axes, frames.spacing, scale, frames.quadric, out)
     return out
 
 
@@ -176,9 +158,15 @@ def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _poses(points, columns, axes, spacing, scale, out):  # type: ignore[no-untyped-def]
+def _height(q, u, v):  # type: ignore[no-untyped-def]
+    half = np.float32(0.5)
+    return q[0] + q[1] * u + q[2] * v + half * q[3] * u * u + q[4] * u * v + half * q[5] * v * v
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _poses(points, columns, axes, spacing, scale, quadric, out):  # type: ignore[no-untyped-def]
     count, k = columns.shape
-    most = np.float32(_FAR)
+    most, one = np.float32(_FAR), np.float32(1.0)
     for i in range(count):
         mine = axes[i]
         for j in range(k):
@@ -202,6 +190,16 @@ def _poses(points, columns, axes, spacing, scale, out):  # type: ignore[no-untyp
                         + mine[a, 2] * theirs[b, 2]
                     )
             to[15] = min(max(scale[other] - scale[i], np.float32(-3.0)), np.float32(3.0))
+            # What fits say of each other, clipped: far from where it was made a fit says nothing.
+            q, u, v, cosine = quadric[other], to[12], to[13], to[11]
+            rise = (_height(q, u, v) - to[14]) * cosine * min(spacing[other] / spacing[i], most)
+            to[16] = _GAIN * min(max(rise, -one), one)
+            along, across = q[1] + q[3] * u + q[4] * v, q[2] + q[4] * u + q[5] * v
+            inverse = cosine / np.sqrt(one + along * along + across * across)
+            to[17] = (to[5] - along * to[3] - across * to[4]) * inverse
+            to[18] = (to[8] - along * to[6] - across * to[7]) * inverse
+            rise = to[2] - _height(quadric[i], to[0], to[1])
+            to[19] = _GAIN * min(max(rise, -one), one)
 
 
 @njit(cache=True, nogil=True)

@@ -35,7 +35,6 @@ class PatchCharts:
         T: ``(n, 3, 3)`` float32, in canonical frames.
         code: ``(n, width)`` float16, what the surface head needs of the feature.
         lift: ``(n,)`` float32, in spacings.
-        noisy: whether the model's network for noisy inputs made them.
     """
 
     rows: NDArray[np.int32]
@@ -43,7 +42,6 @@ class PatchCharts:
     T: NDArray[np.float32]
     code: NDArray[np.float16]
     lift: NDArray[np.float32]
-    noisy: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,6 @@ class Atlas:
     T: NDArray[np.float32]
     code: NDArray[np.float16]
     lift: NDArray[np.float32]
-    noisy: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +64,6 @@ class Landing:
         points: ``(n, 3)`` float64; the rest as in :class:`PatchCharts` and ``Frames``.
         nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
         fixed: the spots stay where they are and only get normals.
-        noisy: as in :class:`PatchCharts`.
     """
 
     spots: NDArray[np.float64]
@@ -81,7 +77,6 @@ class Landing:
     lift: NDArray[np.float32]
     nearest: NDArray[np.int32]
     fixed: bool
-    noisy: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +118,6 @@ def bind(charts: Sequence[PatchCharts]) -> Atlas:
         np.concatenate([part.T for part in charts])[back],
         np.concatenate([part.code for part in charts])[back],
         np.concatenate([part.lift for part in charts])[back],
-        charts[0].noisy,
     )
 
 
@@ -181,7 +175,6 @@ def parcels(
                 lift=atlas.lift[used],
                 nearest=near[part, 0],
                 fixed=fixed,
-                noisy=atlas.noisy,
             )
         )
     return found

@@ -31,19 +31,16 @@ class Model:
     Args:
         net: the network.
         card: its model card.
-        noisy: the network for inputs with noise; the same one if ``None``.
     """
 
-    def __init__(self, net: PUGeoNet, card: dict[str, Any], noisy: PUGeoNet | None = None) -> None:
+    def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
         # First of all, since a lander tries a product out.
         bound_compiled_products()
         keep_freed_memory()
-        self.net, self.card = net, card
-        # By whether the input has noise.
-        self._nets = (net, noisy or net)
-        for each in self._nets:
-            serve(each.eval())
-        self._landers = [Lander(each.surface) for each in self._nets]
+        self.net = net.eval()
+        serve(self.net)
+        self.card = card
+        self._lander = Lander(self.net.surface)
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:
@@ -51,9 +48,7 @@ class Model:
         core = patch.core
         frames = patch.frames
         quadric = frames.quadric[:core]
-        net = self._nets[frames.noisy]
-        hoods = gather([patch], net.architecture.rounds)
-        charts, uv = net(hoods, torch.from_numpy(quadric), count)
+        charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
         # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
         scaled = torch.from_numpy(frames.axes[:core] * frames.spacing[:core, None, None])
         candidates = spread(uv, charts.T[..., :2].mT @ scaled).numpy()
@@ -63,12 +58,11 @@ class Model:
             T=charts.T.numpy(),
             code=charts.code.to(torch.float16).numpy(),
             lift=charts.lift.numpy(),
-            noisy=frames.noisy,
         )
 
     def land(self, landing: Landing) -> Landed:
         """Put every spot on the blend of its charts."""
-        step, normals, log_error = self._landers[landing.noisy](landing)
+        step, normals, log_error = self._lander(landing)
         fixed = landing.fixed
         spots = landing.spots if fixed else settle(landing, step, _FURTHEST)
         return Landed(

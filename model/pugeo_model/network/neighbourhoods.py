@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from pugeo_model.geometry.patches import MESSAGES, ROUNDS, Patch, edges, poses, scalars
+from pugeo_model.geometry.patches import MESSAGES, Patch, edges, poses, scalars
 
 __all__ = ["Neighbourhoods", "gather"]
 
@@ -56,17 +56,11 @@ class Neighbourhoods:
     rounds: tuple[Round, ...]
 
 
-def gather(patches: Sequence[Patch], rounds: int = ROUNDS) -> Neighbourhoods:
-    """Tensors of the patches, put one after the other as one graph, and filled up.
-
-    Args:
-        patches: cut for that many rounds of messages or more.
-        rounds: of the network.
-    """
-    patches = [patch.inner(rounds) for patch in patches]
-    turns = []
+def gather(patches: Sequence[Patch]) -> Neighbourhoods:
+    """Tensors of the patches, put one after the other as one graph, and filled up."""
+    rounds = []
     before = [patch.rings[0] for patch in patches]
-    for turn, reach in enumerate(MESSAGES[-rounds:]):
+    for turn, reach in enumerate(MESSAGES):
         starts = np.cumsum([0, *before[:-1]])
         now = [(*p.rings, p.core)[turn + 1] for p in patches]
         rows = [s + np.arange(n) for s, n in zip(starts, now, strict=True)]
@@ -75,7 +69,7 @@ def gather(patches: Sequence[Patch], rounds: int = ROUNDS) -> Neighbourhoods:
             for p, s, n in zip(patches, starts, now, strict=True)
         ]
         pose = [poses(p, n, reach) for p, n in zip(patches, now, strict=True)]
-        turns.append(
+        rounds.append(
             Round(
                 _filled(_joined(rows), 0),
                 _filled(_joined(sources, axis=1), 1),
@@ -86,7 +80,7 @@ def gather(patches: Sequence[Patch], rounds: int = ROUNDS) -> Neighbourhoods:
     return Neighbourhoods(
         _filled(_joined([edges(p) for p in patches], axis=1), 1),
         _filled(_joined([scalars(p.frames) for p in patches]), 0),
-        tuple(turns),
+        tuple(rounds),
     )
 
 

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pugeo_model.geometry.patches import ROUNDS
 from pugeo_model.network.backbones import BACKBONES
 from pugeo_model.network.heads import Frame, Samples, Surface
 from pugeo_model.network.neighbourhoods import Neighbourhoods
@@ -32,11 +31,6 @@ class Architecture:
     features: int = 256
     options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64), ("expansion", 4))
     head: int = 128
-
-    @property
-    def rounds(self) -> int:
-        """Rounds of message passing, which patches must have been cut for."""
-        return dict(self.options).get("rounds", ROUNDS)
 
     def to_json(self) -> dict[str, Any]:
         """Plain types only."""

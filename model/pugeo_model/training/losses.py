@@ -129,11 +129,7 @@ class JointLoss:
         ground = _Ground.of(samples, w.noise)
         points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
 
-        charts, uv = net(
-            gather([sample.patch for sample in samples], net.architecture.rounds),
-            ground.quadric,
-            count,
-        )
+        charts, uv = net(gather([sample.patch for sample in samples]), ground.quadric, count)
         local, normals, log_error = evaluate(net.surface, charts, uv)
         cloud = points[:, None] + spacing[:, None, None] * (local @ axes)
         world_normals = normals @ axes

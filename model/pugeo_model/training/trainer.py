@@ -129,9 +129,7 @@ class Trainer:
             tick: called after every step.
         """
         recipe = self.recipe
-        batches = Batches(
-            self.shapes, recipe.mix, recipe.seed, recipe.steps, recipe.architecture.rounds
-        )
+        batches = Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
         loader = DataLoader(
             batches,
             batch_size=None,
@@ -167,7 +165,7 @@ class Trainer:
             return {}
         loss = JointLoss(self.validation, self.recipe.weights)
         clean = Mix(noisy=0, random=0, ramp=0, cut=0, lines=0)
-        batches = Batches(self.validation, clean, 1, steps, self.recipe.architecture.rounds)
+        batches = Batches(self.validation, clean, seed=1, steps=steps)
         sums: dict[str, float] = {}
         self.net.eval()
         with torch.no_grad():

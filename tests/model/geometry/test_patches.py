@@ -4,25 +4,20 @@ import pytest
 
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.patches import MESSAGES, ROUNDS, cut, edges, poses
+from pugeo_model.geometry.patches import MESSAGES, cut, edges, poses
 
 
-def patch_of(points, core, rounds=ROUNDS):
+def patch_of(points, core):
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances))
-    return cut(core, points, neighbours, frames, rounds), neighbours, frames
+    return cut(core, points, neighbours, frames), neighbours, frames
 
 
-@pytest.mark.parametrize(("cut_for", "rounds"), [(2, 2), (3, 3), (3, 2)])
-def test_rings_hold_all_neighbours(sphere, cut_for, rounds):
+def test_rings_hold_all_neighbours(sphere):
     """Each ring's rows find all senders of their round within the ring before."""
-    core = np.arange(0, 300, 3, dtype=np.int32)
-    patch, neighbours, _ = patch_of(sphere, core, cut_for)
-    patch = patch.inner(rounds)
+    patch, neighbours, _ = patch_of(sphere, np.arange(0, 300, 3, dtype=np.int32))
     limits = (*patch.rings, patch.core)
-    assert len(limits) == rounds + 1
-    assert len(patch.neighbours) == len(patch.frames.axes) == patch.rings[0]
-    for turn, reach in enumerate(MESSAGES[-rounds:]):
+    for turn, reach in enumerate(MESSAGES):
         rows, before = limits[turn + 1], limits[turn]
         assert patch.neighbours[:rows, slice(*reach)].max() < before
     assert patch.neighbours.max() < len(patch.rows)
@@ -56,10 +51,60 @@ def test_edges_ignore_rotation_scale_and_place(sphere):
 def test_pose_of_a_frame_seen_from_itself(sphere):
     """A pose's rotation is the product of both frames, its positions seen from both sides."""
     patch, _, _ = patch_of(sphere, np.arange(50, dtype=np.int32))
-    pose = poses(patch, 50, (0, 12, 1))[2, 11]
+    pose = poses(patch, 50, MESSAGES[0])[2, 11]
     other = patch.neighbours[11, 2]
     f = patch.frames
     np.testing.assert_allclose(pose[3:12].reshape(3, 3), f.axes[11] @ f.axes[other].T, atol=1e-5)
     offset = patch.points[other] - patch.points[11]
     np.testing.assert_allclose(pose[:3], f.axes[11] @ offset / f.spacing[11], atol=1e-5)
     np.testing.assert_allclose(pose[12:15], -(f.axes[other] @ offset) / f.spacing[other], atol=1e-4)
+
+
+def test_poses_tell_what_fits_say_of_each_other(sphere):
+    """A point off the surface hears from its neighbours how far, and where the surface faces."""
+    moved = sphere.copy()
+    lifted = 20
+    distances, _ = nearest(sphere)
+    spaced = float(spacing(distances)[lifted])
+    moved[lifted] *= 1 + 0.1 * spaced
+    patch, _, _ = patch_of(moved, np.arange(50, dtype=np.int32))
+    out = np.sign(patch.frames.axes[lifted, 2] @ sphere[lifted])
+    pose = poses(patch, 50, (0, 12, 1))
+    suggested = pose[:, lifted, 16] / 4 * out
+    # Fits of those next to it are lifted a little with it.
+    assert -0.13 < suggested.mean() < -0.05
+    # Tangents of the true normal, in the frame, of either sign.
+    tangents = patch.frames.axes[lifted, :2] @ sphere[lifted] * out
+    np.testing.assert_allclose(pose[:, lifted, 17:19].mean(axis=0), tangents, atol=0.05)
+    quiet = np.setdiff1d(np.arange(50), [lifted, *np.unique(patch.neighbours[lifted])])
+    quiet = [i for i in quiet if lifted not in patch.neighbours[i]]
+    assert np.abs(pose[:, quiet, 16]).max() < 0.02
+    assert np.abs(pose[:, quiet, 19]).max() < 0.02
+
+
+def test_what_fits_say_is_computed_as_it_is_told(sphere):
+    """Numbers 16 to 19 by their definition, in float64, on a rough cloud."""
+    rough = sphere + 0.01 * np.random.default_rng(0).normal(size=sphere.shape)
+    patch, _, _ = patch_of(rough, np.arange(50, dtype=np.int32))
+    frames = patch.frames
+
+    def height(q, u, v):
+        return q @ [1, u, v, u * u / 2, u * v, v * v / 2]
+
+    pose = poses(patch, 50, (0, 12, 1))
+    for i, k in ((0, 0), (7, 3), (33, 11)):
+        j = patch.neighbours[i, k]
+        mine, theirs = frames.axes[i].astype(float), frames.axes[j].astype(float)
+        here, there = patch.points[i], patch.points[j]
+        u, v, h = theirs @ (here - there) / frames.spacing[j]
+        q = frames.quadric[j].astype(float)
+        cosine = mine[2] @ theirs[2]
+        rise = (height(q, u, v) - h) * cosine * frames.spacing[j] / frames.spacing[i]
+        assert pose[k, i, 16] == pytest.approx(4 * rise, abs=1e-4)
+        slope = np.array([q[1] + q[3] * u + q[4] * v, q[2] + q[4] * u + q[5] * v])
+        normal = theirs[2] - slope @ theirs[:2]
+        normal *= cosine / np.linalg.norm(normal)
+        np.testing.assert_allclose(pose[k, i, 17:19], mine[:2] @ normal, atol=1e-4)
+        u, v, h = mine @ (there - here) / frames.spacing[i]
+        above = h - height(frames.quadric[i].astype(float), u, v)
+        assert pose[k, i, 19] == pytest.approx(4 * above, abs=1e-4)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 pytest.importorskip("igl", reason="training needs the train extra")
 
@@ -176,3 +178,16 @@ def test_learning_rate_has_three_phases():
     assert learning_rate(recipe, 500) == 1.0
     assert learning_rate(recipe, 900) == pytest.approx(0.5)
     assert learning_rate(recipe, 999) == pytest.approx(0.005)
+
+
+def test_a_run_starts_from_weights(shapes, meshes, tmp_path):
+    """As they are, but for its first step; those of another architecture are refused."""
+    recipe = Recipe(SMALL, steps=2, warmup=1)
+    run(shapes, [], meshes, recipe, tmp_path / "first", "small", "own.toml", 2, lambda *_: None)
+    weights = str(tmp_path / "first" / "small.safetensors")
+    begun = Trainer(shapes, replace(recipe, start=weights), tmp_path / "second")
+    for name, value in load_file(weights).items():
+        torch.testing.assert_close(begun.net.state_dict()[name], value)
+    assert begun.recipe.to_json()["start"] == weights
+    with pytest.raises(BadOption, match="architecture"):
+        Trainer(shapes, Recipe(start=weights), tmp_path / "third")

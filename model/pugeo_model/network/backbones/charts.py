@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pugeo_model.geometry.patches import EDGE, POSE, ROUNDS, SCALARS
+from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
 from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.neighbourhoods import Neighbourhoods, Round
 from pugeo_model.network.pooling import pools, sums
@@ -105,23 +105,17 @@ class ChartsBackbone(nn.Module):
         edge_width: channels of the per-neighbour MLP.
         features: channels of the result.
         expansion: of each round's MLP on points, see ``Messages``.
-        rounds: of message passing.
     """
 
     def __init__(
-        self,
-        width: int = 128,
-        edge_width: int = 64,
-        features: int = 256,
-        expansion: int = 0,
-        rounds: int = ROUNDS,
+        self, width: int = 128, edge_width: int = 64, features: int = 256, expansion: int = 0
     ) -> None:
         super().__init__()
         self.neighbours = Neighbours(edge_width, width)
         self.norm = nn.LayerNorm(width)
-        self.messages = nn.ModuleList(Messages(width, expansion) for _ in range(rounds))
-        self.recalibration = Recalibration(rounds + 1, width)
-        self.out = Rectified((rounds + 1) * width, features)
+        self.messages = nn.ModuleList(Messages(width, expansion) for _ in MESSAGES)
+        self.recalibration = Recalibration(len(MESSAGES) + 1, width)
+        self.out = Rectified((len(MESSAGES) + 1) * width, features)
 
     def forward(self, hoods: Neighbourhoods) -> Tensor:
         """Features ``(n, features)``: the core rows in the order of the patches, then filling."""
