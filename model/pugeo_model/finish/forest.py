@@ -47,21 +47,21 @@ class Forest:
         right: NDArray[np.int32],
         opposite: NDArray[np.bool_],
         weights: NDArray[np.float32],
-        most: float,
+        levels: tuple[float, ...],
     ) -> NDArray[np.int32]:
-        """`join` along edges that weigh at most so much, as they come.
+        """`join` along edges that weigh at most so much, as they come, level by level.
 
         Returns:
             Rows of the edges, ascending, that lie between two parts after it.
         """
+        most = np.array(levels, dtype=np.float32)
         joined, between = _join_sure(self._links, left, right, opposite, weights, most)
         self.parts -= joined
         return between
 
-    def roots(self, rows: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """For each row the lowest row of its part, and whether their signs differ."""
-        found = _roots(self._links, rows)
-        return found >> 1, (found & 1).astype(np.bool_)
+    def lowest(self) -> NDArray[np.intp]:
+        """The lowest row of each part, ascending."""
+        return np.flatnonzero(self._links >> 1 == np.arange(len(self._links)))
 
     def read(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
         """Signs -1 or 1 and parts of all nodes, ``(count,)`` each.
@@ -123,19 +123,23 @@ def _join_sure(
     right: NDArray[Any],
     opposite: NDArray[Any],
     weights: NDArray[Any],
-    most: float,
+    levels: NDArray[np.float32],
 ) -> tuple[int, NDArray[np.int32]]:
-    joined, kept = 0, 0
-    rows = np.empty(len(left), dtype=np.int32)
-    for edge in range(len(left)):
-        if weights[edge] > most:
-            rows[kept] = edge
-            kept += 1
-            continue
-        here, there = _root(links, left[edge]), _root(links, right[edge])
-        if here >> 1 != there >> 1:
-            _unite(links, here, there, opposite[edge])
-            joined += 1
+    joined, kept = 0, len(left)
+    rows = np.arange(len(left)).astype(np.int32)
+    for most in levels:
+        heavier = 0
+        for at in range(kept):
+            edge = rows[at]
+            if weights[edge] > most:
+                rows[heavier] = edge
+                heavier += 1
+                continue
+            here, there = _root(links, left[edge]), _root(links, right[edge])
+            if here >> 1 != there >> 1:
+                _unite(links, here, there, opposite[edge])
+                joined += 1
+        kept = heavier
     between = 0
     for at in range(kept):
         edge = rows[at]
@@ -143,14 +147,6 @@ def _join_sure(
             rows[between] = edge
             between += 1
     return joined, rows[:between]
-
-
-@njit(cache=True, nogil=True)
-def _roots(links: NDArray[np.int32], rows: NDArray[Any]) -> NDArray[np.int32]:
-    found = np.empty(len(rows), dtype=np.int32)
-    for at in range(len(rows)):
-        found[at] = _root(links, rows[at])
-    return found
 
 
 @njit(cache=True, nogil=True)
