@@ -168,17 +168,22 @@ def _poses(points, columns, axes, spacing, scale, quadric, out):  # type: ignore
     count, k = columns.shape
     most, one = np.float32(_FAR), np.float32(1.0)
     for i in range(count):
-        mine = axes[i]
+        mine, size, scaled = axes[i], spacing[i], one / spacing[i]
         for j in range(k):
             other = columns[i, j]
             theirs = axes[other]
-            x = np.float32((points[other, 0] - points[i, 0]) / spacing[i])
-            y = np.float32((points[other, 1] - points[i, 1]) / spacing[i])
-            z = np.float32((points[other, 2] - points[i, 2]) / spacing[i])
-            far = np.sqrt(x * x + y * y + z * z)
-            if far > most:
-                x, y, z = x * (most / far), y * (most / far), z * (most / far)
-            back = -min(spacing[i] / spacing[other], most / max(far, np.float32(1e-6)))
+            x = np.float32(points[other, 0] - points[i, 0]) * scaled
+            y = np.float32(points[other, 1] - points[i, 1]) * scaled
+            z = np.float32(points[other, 2] - points[i, 2]) * scaled
+            squared = x * x + y * y + z * z
+            back = size / spacing[other]
+            # Hardly ever: a root for every edge would be a tenth of the time.
+            if squared * max(back * back, one) > most * most:
+                clip = most / np.sqrt(squared)
+                back = min(back, clip)
+                if clip < one:
+                    x, y, z = x * clip, y * clip, z * clip
+            back = -back
             to = out[j, i]
             for a in range(3):
                 to[a] = mine[a, 0] * x + mine[a, 1] * y + mine[a, 2] * z
@@ -192,7 +197,7 @@ def _poses(points, columns, axes, spacing, scale, quadric, out):  # type: ignore
             to[15] = min(max(scale[other] - scale[i], np.float32(-3.0)), np.float32(3.0))
             # What fits say of each other, clipped: far from where it was made a fit says nothing.
             q, u, v, cosine = quadric[other], to[12], to[13], to[11]
-            rise = (_height(q, u, v) - to[14]) * cosine * min(spacing[other] / spacing[i], most)
+            rise = (_height(q, u, v) - to[14]) * cosine * min(spacing[other] * scaled, most)
             to[16] = _GAIN * min(max(rise, -one), one)
             along, across = q[1] + q[3] * u + q[4] * v, q[2] + q[4] * u + q[5] * v
             inverse = cosine / np.sqrt(one + along * along + across * across)
