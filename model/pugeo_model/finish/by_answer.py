@@ -23,8 +23,8 @@ __all__ = ["take_sides_by_answer"]
 
 _ALL = 5.0  # points a chart up to which all take part
 _MEMBERS = 3  # of each chart where there are more; the others follow the nearest of these
-_FAR = 1.5  # reaches at which neighbours are looked for
-_WIDTH = 16  # longest list of them
+_FAR = 1.35  # reaches at which neighbours are looked for
+_WIDTH = 12  # longest list of them
 _NEAR = 6  # neighbours in the input
 
 
