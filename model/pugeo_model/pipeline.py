@@ -197,7 +197,13 @@ def denoise(job: Job, landed: Sequence[Landed]) -> Job:
     points = np.empty_like(job.points)
     points[job.order] = own.points
     again = prepare(replace(job.tile, points=points, noise=None))
-    return replace(again, noise=job.noise, denoised=True)
+    share = again.share
+    if job.tile.spacing is not None:
+        # What was typical of the whole cloud was so with its noise.
+        change = np.median(again.frames.spacing) / np.median(job.frames.spacing)
+        typical = float(job.tile.spacing * change)
+        share = shares(again.frames.spacing, again.neighbours, typical)
+    return replace(again, share=share, noise=job.noise, denoised=True)
 
 
 def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:

@@ -85,7 +85,14 @@ def start_from(net: Any, name_or_path: str | Path) -> None:
             f"{str(name_or_path)!r} has the architecture {made}, the recipe {wanted}",
             value=str(name_or_path),
         )
-    net.load_state_dict(load_file(locate(name_or_path)))
+    try:
+        net.load_state_dict(load_file(locate(name_or_path)))
+    except RuntimeError as error:
+        # What a message or a point tells the network is no matter of its architecture.
+        raise BadOption(
+            f"{str(name_or_path)!r} is of another version of this network: {error}",
+            value=str(name_or_path),
+        ) from None
 
 
 def save(net: Any, card: dict[str, Any], path: Path) -> None:

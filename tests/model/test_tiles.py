@@ -13,7 +13,7 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.shares import shares
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.pipeline import survey
+from pugeo_model.pipeline import denoise, land, noisy, own_spots, predict, prepare, survey
 from pugeo_model.tiles import cut_tiles
 from pugeo_model.training.corpus import poisson_disk
 from pugeo_model.upsampler import Upsampler
@@ -96,6 +96,22 @@ def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
     assert evenness(tiled) < 1.05 * evenness(whole)
     off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in (whole, tiled)]
     assert off[1] < 1.05 * off[0] < 0.005
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.02])
+def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
+    """Of an even cloud all points stand for the same area, in each tile, denoised or not."""
+    cloud = ball + np.random.default_rng(0).normal(size=ball.shape, scale=scale)
+    for tile in survey(Cloud(cloud), Options(4.0), SIZE).tiles:
+        job = prepare(tile)
+        assert noisy(job) is (scale > 0)
+        if noisy(job):
+            charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
+            spots = own_spots(job, charts)
+            job = denoise(job, [land(upsampler.model, spot) for spot in spots])
+            assert job.denoised
+        share = job.share[job.core]
+        assert share.std() < 0.004 * share.mean()
 
 
 def test_a_tile_without_neighbours(upsampler, ball):

@@ -49,7 +49,14 @@ class Forest:
         weights: NDArray[np.float32],
         levels: tuple[float, ...],
     ) -> NDArray[np.int32]:
-        """`join` along edges that weigh at most so much, as they come, level by level.
+        """Join parts along edges that weigh at most so much, as they come, level by level.
+
+        Args:
+            left: ``(E,)`` node at one end of each edge.
+            right: ``(E,)`` at the other, in ``0..count-1`` too.
+            opposite: ``(E,)`` whether the signs of the two ends differ.
+            weights: ``(E,)``.
+            levels: ascending.
 
         Returns:
             Rows of the edges, ascending, that lie between two parts after it.
@@ -131,7 +138,8 @@ def _join_sure(
         heavier = 0
         for at in range(kept):
             edge = rows[at]
-            if weights[edge] > most:
+            # Not "heavier": a weight that is no number is not sure.
+            if not weights[edge] <= most:
                 rows[heavier] = edge
                 heavier += 1
                 continue

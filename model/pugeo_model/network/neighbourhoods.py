@@ -33,7 +33,7 @@ class Round:
     Attributes:
         rows: ``(n,)`` int64 rows, of the round before, that receive; what fills up is row 0.
         sources: ``(k, n)`` int64 rows, of the round before, that send.
-        pose: ``(k, n, 16)`` float32, the sender's frame in the receiver's.
+        pose: ``(k, n, POSE)`` float32, the sender's frame in the receiver's.
     """
 
     rows: Tensor

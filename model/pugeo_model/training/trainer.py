@@ -100,8 +100,6 @@ class Trainer:
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []
         self.net = PUGeoNet(recipe.architecture)
-        if recipe.start is not None:
-            start_from(self.net, recipe.start)
         self.optimizer = Optimizer(self.net, recipe.rate, recipe.decay)
         self.loss = JointLoss(shapes, recipe.weights)
         self.step = 0
@@ -110,6 +108,8 @@ class Trainer:
         folder.mkdir(parents=True, exist_ok=True)
         if self._checkpoint.exists():
             self._resume()
+        elif recipe.start is not None:
+            start_from(self.net, recipe.start)
 
     @property
     def _checkpoint(self) -> Path:

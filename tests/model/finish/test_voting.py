@@ -30,10 +30,10 @@ def edges(*rows: tuple[int, int, float, bool]) -> Edges:
     )
 
 
-def bars(wrong: float) -> Edges:
+def bars(wrong: float, right: float = 0.03) -> Edges:
     """Two rows of ten nodes that agree, and ten edges between: all but the first say the same."""
     inside = [(row + i, row + i + 1, 0.001, False) for row in (0, 10) for i in range(9)]
-    between = [(i, 10 + i, wrong if i == 0 else 0.03, i == 0) for i in range(10)]
+    between = [(i, 10 + i, wrong if i == 0 else right, i == 0) for i in range(10)]
     return edges(*inside, *between)
 
 
@@ -50,7 +50,7 @@ def test_many_outvote_one():
 
 def test_where_both_trees_agree_nothing_changes():
     """An edge that is much surer than all others decides alone."""
-    both = bars(1e-6)
+    both = bars(0.0101, 1.9)
     signs, _ = voted(20, [both])
     assert (signs[10:] == -signs[0]).all()
 
@@ -69,7 +69,7 @@ def test_the_next_kind_only_joins_what_is_apart(opposite: bool):
 def test_each_kind_goes_by_its_own_weights():
     """Also those of the last: the lighter of two edges that contradict each other decides."""
     none = edges((3, 3, 0.0, False))
-    last = edges((0, 1, 0.03, True), (0, 1, 0.0001, False))
+    last = edges((0, 1, 0.3, True), (0, 1, 0.02, False))
     signs, _ = voted(4, [none, none, last])
     assert signs.tolist() == [1, 1, 1, 1]
 
@@ -93,3 +93,13 @@ def test_sure_edges_and_others_come_to_one_verdict():
     for part in range(parts.max() + 1):
         inside = parts == part
         assert abs((signs * true)[inside].sum()) == inside.sum()
+
+
+def test_sure_edges_go_level_by_level():
+    """Of two that contradict each other the surer counts, whichever comes first."""
+    for order in ([0, 1], [1, 0]):
+        two = [(0, 1, 0.008, True), (0, 1, 0.001, False)]
+        signs, _ = voted(2, [edges(*(two[i] for i in order))])
+        assert signs.tolist() == [1, 1]
+    signs, _ = voted(2, [edges((0, 1, np.nan, True), (0, 1, 0.001, False))])
+    assert signs.tolist() == [1, 1]

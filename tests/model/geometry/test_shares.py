@@ -34,3 +34,17 @@ def test_small_differences_are_accidents():
         share = shares(differing, neighbours, typical)
         low, high = (share[middle & (points[:, 0] == x)] for x in (10, 50))
         assert high / low == pytest.approx(1.5**2, rel=0.05)
+
+
+def test_what_is_typical_may_be_told():
+    """Of a part of a larger cloud, whose typical spacing is another, small differences count."""
+    grid = np.stack(np.meshgrid(np.arange(60.0), np.arange(60.0)), axis=-1).reshape(-1, 2)
+    points = np.append(grid, np.zeros((3600, 1)), axis=1)
+    distances, neighbours = nearest(points)
+    here = spacing(distances) * np.where(points[:, 0] < 30, 1.0, 1.02).astype(np.float32)
+    usual = float(np.median(here))
+    middle = np.abs(points[:, 1] - 29.5) < 5
+    for typical, ratio in ((usual, 1.0), (3.0 * usual, 1.02**2)):
+        share = shares(here, neighbours, typical)
+        low, high = (share[middle & (points[:, 0] == x)].mean() for x in (10, 50))
+        assert high / low == pytest.approx(ratio, abs=0.004)
