@@ -27,8 +27,8 @@ class Mix:
         noise: largest standard deviation, in spacings.
     """
 
-    noisy: float = 0.28
-    random: float = 0.12
+    noisy: float = 0.30
+    random: float = 0.14
     ramp: float = 0.03
     cut: float = 0.03
     lines: float = 0.04

@@ -48,7 +48,7 @@ class Recipe:
     architecture: Architecture = field(default_factory=Architecture)
     mix: Mix = field(default_factory=Mix)
     weights: Weights = field(default_factory=Weights)
-    steps: int = 65_000
+    steps: int = 85_500
     rate: float = 2e-3
     warmup: int = 200
     cooldown: float = 0.45
