@@ -39,7 +39,7 @@ class Forest:
             order: rows of the edges to go along, in turn; all as they come if ``None``.
         """
         order = np.arange(len(left)) if order is None else order
-        self.parts -= _join(self._links, left, right, opposite, order)
+        self.parts -= _join(self._links, left, right, opposite, order, self.parts - 1)
 
     def join_sure(
         self,
@@ -108,9 +108,12 @@ def _join(
     right: NDArray[Any],
     opposite: NDArray[Any],
     order: NDArray[Any],
+    apart: int,
 ) -> int:
     count, joined = len(links), 0
     for edge in order:
+        if joined == apart:
+            break
         i, j = left[edge], right[edge]
         if not 0 <= j < count:
             continue
@@ -118,8 +121,6 @@ def _join(
         if here >> 1 != there >> 1:
             _unite(links, here, there, opposite[edge])
             joined += 1
-            if joined == count - 1:
-                break
     return joined
 
 
