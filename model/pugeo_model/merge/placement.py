@@ -19,10 +19,10 @@ _CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample,
 _PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
 _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
 _DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
-_USUAL = 0.78  # times R to the power below: errors usual around it that bring no burden
+_USUAL = 0.85  # times R to the power below: errors usual around it that bring no burden
 _FINER = 0.68  # among more points a hole is larger than an error
-_LEAST = 2.1  # of these: with fewer there are holes at R=2
-_MOST = 5.2  # with more, tips of thin fins are overshot
+_LEAST = 2.2  # of these: with fewer there are holes at R=2
+_MOST = 5.6  # with more, tips of thin fins are overshot
 _PINNED = -1e9  # burden of points that must survive: no weight comes near it
 _FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
 _ROUNDS = 6

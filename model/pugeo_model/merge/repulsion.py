@@ -9,6 +9,9 @@ __all__ = ["repel"]
 
 _STEP = 0.65  # of the mean push: six rounds then do what eight of 0.5 do, and 0.8 is uneven
 _RANGE = 1.3  # reaches within which samples push
+_PUSH = 0.7  # of the push of those at common distances
+_SQUEEZED = 0.06  # over the square of the distance in ranges: neighbours would hold a pair together
+_HARDEST = 10.0  # of samples that share a spot, as it were
 _LIMIT = 0.25  # of the reach: the furthest move in one round
 _TINY = 1e-300  # squared distance of samples in one place, which do not push
 
@@ -21,6 +24,9 @@ def repel(
     rounds: int,
 ) -> NDArray[np.float64]:
     """Move samples apart within their tangent planes.
+
+    The push rises steeply where two are much too close: else the neighbours of a pair, which push from
+    all sides, hold it together.
 
     Samples across a crease push like all others: without them those along it were pushed over it,
     and came down among those of the other side.
@@ -47,6 +53,7 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
         if reach[i] == 0.0:
             continue
         inverse = 1.0 / (_RANGE * reach[i])
+        squeezed = _SQUEEZED / (inverse * inverse)
         a = b = c = 0.0
         for at in range(neighbours.shape[1]):
             j = neighbours[i, at]
@@ -59,7 +66,7 @@ def _push(samples, normals, neighbours, reach, after):  # type: ignore[no-untype
             per = 1.0 / np.sqrt(squared)
             # No branch: which of them are beyond the range is not to be guessed.
             w = max(1.0 - squared * per * inverse, 0.0)
-            w *= w * per
+            w *= w * per * min(_PUSH + squeezed * per * per, _HARDEST)
             a += w * x
             b += w * y
             c += w * z
