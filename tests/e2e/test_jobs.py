@@ -47,6 +47,8 @@ def ball(count: int) -> bytes:
 
 
 SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(200_000)
+# Takes more than a second anywhere: progress is looked for every half second.
+LONG = ball(60_000)
 
 
 def eventually(check: Callable[[], bool], seconds: float = 90.0) -> float:
@@ -154,7 +156,7 @@ def test_a_drain_parks_jobs_and_ends_streams(launch: Any, tmp_path: Path) -> Non
 
 def test_events_and_ranges(server: Server) -> None:
     """The stream tells the way of a job to its end; its result comes whole, in parts, or not."""
-    job_id = submit(server, MIDDLE, "?R=4")
+    job_id = submit(server, LONG, "?R=4")
     names, last = [], {}
     with httpx2.stream("GET", f"{server.url}/jobs/{job_id}/events", timeout=100) as events:
         for line in events.iter_lines():
@@ -167,14 +169,14 @@ def test_events_and_ranges(server: Server) -> None:
     assert "progress" in names
     assert names[-1] == "end"
     assert last["state"] == "succeeded"
-    assert last["report"]["points_out"] == 36_000
+    assert last["report"]["points_out"] == 240_000
     url = f"{server.url}/jobs/{job_id}/result"
     whole = httpx2.get(url)
     etag = whole.headers["etag"]
     assert etag == f'"{hashlib.sha256(whole.content).hexdigest()}"'
     parts = [
-        httpx2.get(url, headers={"Range": f"bytes={start}-{start + 99_999}", "If-Range": etag})
-        for start in range(0, len(whole.content), 100_000)
+        httpx2.get(url, headers={"Range": f"bytes={start}-{start + 999_999}", "If-Range": etag})
+        for start in range(0, len(whole.content), 1_000_000)
     ]
     assert {part.status_code for part in parts} == {206}
     assert b"".join(part.content for part in parts) == whole.content

@@ -25,8 +25,8 @@ def repel(
 ) -> NDArray[np.float64]:
     """Move samples apart within their tangent planes.
 
-    The push rises steeply where two are much too close: else the neighbours of a pair, which push from
-    all sides, hold it together.
+    The push rises steeply where two are much too close: else the neighbours of a pair, which push
+    from all sides, hold it together.
 
     Samples across a crease push like all others: without them those along it were pushed over it,
     and came down among those of the other side.
