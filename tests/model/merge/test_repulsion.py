@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.neighbours import knn
 from pugeo_model.merge.elimination import eliminate, reach_of_share
 from pugeo_model.merge.repulsion import repel
 
@@ -67,12 +68,12 @@ def test_neighbours_do_not_hold_a_pair_together(seed):
     samples, reach = candidates[kept], reach[:3000]
     after = settled(samples, [[0, 0, 1]] * 3000, _within(samples, 1.4 * reach[0]), 6, reach)
     inside = np.abs(after[:, :2] - 0.5).max(axis=1) < 0.45
-    distance = cKDTree(after).query(after, 2)[0][inside, 1]
+    distance = knn(cKDTree(after), after, 2)[0][inside, 1]
     # 0.215 to 0.219, and 0.12 to 0.13, with a push that only falls with the distance.
     assert distance.min() > 0.26 * reach[0]
     assert distance.std() / distance.mean() < 0.12
 
 
 def _within(points, reach):
-    distance, rows = cKDTree(points).query(points, 16, distance_upper_bound=reach)
+    distance, rows = knn(cKDTree(points), points, 16, reach)
     return np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(np.int32)
