@@ -132,7 +132,7 @@ def test_a_poisonous_request_harms_nobody_else(
 
 def test_cancelling_an_order(tmp_path: Path) -> None:
     """A cancelled order leaves the engine free for the next one."""
-    directions = np.random.default_rng(0).normal(size=(30_000, 3))
+    directions = np.random.default_rng(0).normal(size=(200_000, 3))
     buffer = io.BytesIO()
     formats.write(Cloud(directions), buffer, format="ply")
     large = dataclasses.replace(ORDER, max_points=10**6, max_output_points=10**7)
