@@ -97,7 +97,7 @@ def test_full_and_late(launch: Any) -> None:
     options = ("--queue-requests", "1", "--deadline-s", "4", "--workers", "2")
     with launch(*options) as server:
         server.wait_until_ready()
-        late = begun(server, ball(250_000))  # a million points, which no two workers make in 4 s
+        late = begun(server, ball(500_000))  # two million points, which no two workers make in 4 s
         full = httpx2.post(f"{server.url}/upsample", content=SMALL)
         assert (full.status_code, full.json()["code"]) == (503, "queue_full")
         assert 1 <= int(full.headers["retry-after"]) <= 120
