@@ -6,7 +6,7 @@ wrong where most are right. Which edge that is, small changes of the weights dec
 are grown, the second with weights changed by chance; the regions in which they agree with each
 other are all that is doubtful, and what these are to each other all edges between them decide.
 
-Before that come the edges that are sure, about half of all: no order of theirs changes anything.
+Before that come the edges that are sure, about half of all: no order of theirs changes much.
 """
 
 from typing import Any
@@ -19,10 +19,8 @@ from pugeo_model.finish.spanning import Edges, join
 
 __all__ = ["join_by_votes"]
 
-_SURE = (
-    0.003,
-    0.01,
-)  # weights up to which edges are believed: normals on one circle to 4, 8 degrees
+# Weights up to which edges are believed: normals on one circle to 4 degrees, then to 8.
+_SURE = (0.003, 0.01)
 _HEAVY = 0.1  # weight of an edge whose vote counts half
 
 
