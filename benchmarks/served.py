@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a service takes and gives: ``python -m benchmarks.served [--points N] [--ratio R]``.
 
-``--workers 2`` leaves out the service of one worker.
+``--workers 2`` leaves out the service of one worker; ``--rounds 3`` measures three times, in turn,
+and shows medians: a machine is not as fast at one time as at another.
 
 A service of two workers and one of a single worker are started one after the other on all cores of
 this process: how soon they are ready, how soon a small cloud comes back when nobody else is there,
@@ -65,10 +66,15 @@ def main() -> None:
     parser.add_argument("--ratio", type=float, default=8.0, help="of the large cloud")
     parser.add_argument("--model", default="standard", help="name or path of the weights")
     parser.add_argument("--workers", type=int, nargs="+", default=[2, 1], help="of each service")
+    parser.add_argument("--rounds", type=int, default=1, help="of all services")
     options = parser.parse_args()
     print("\n".join(table(("", ""), describe(None, options.model))), end="\n\n")
     cloud = _even(options.points)
-    seen = {workers: _seen(workers, cloud, options) for workers in options.workers}
+    rounds = [
+        {workers: _seen(workers, cloud, options) for workers in options.workers}
+        for _ in range(options.rounds)
+    ]
+    seen = {workers: _median([each[workers] for each in rounds]) for workers in options.workers}
     rows = [
         (
             str(workers),
@@ -93,8 +99,22 @@ def main() -> None:
     )
     print("\n".join(table(header, rows)))
     if {1, 2} <= set(seen):
-        two, one = seen[2], seen[1]
-        print(f"\nTwo workers to one: {two.many / one.many:.2f}, {two.large / one.large:.2f}.")
+        ratios = [
+            statistics.median(getattr(each[2], name) / getattr(each[1], name) for each in rounds)
+            for name in ("many", "large")
+        ]
+        print("\nTwo workers to one: {:.2f}, {:.2f}.".format(*ratios))
+
+
+def _median(seen: list[Seen]) -> Seen:
+    """The median of each figure, of memory the most."""
+    middle = {
+        name: statistics.median(getattr(each, name) for each in seen)
+        for name in ("ready", "latency", "many", "large")
+    }
+    return Seen(
+        **middle, idle=max(each.idle for each in seen), peak=max(each.peak for each in seen)
+    )
 
 
 def _seen(workers: int, cloud: NDArray[np.float32], options: argparse.Namespace) -> Seen:

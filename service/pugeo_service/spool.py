@@ -2,6 +2,7 @@
 """Bytes on their way in or out: small ones in memory, large ones in an unnamed file."""
 
 import asyncio
+import os
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pugeo_service.shared_file import SharedFile
 
 __all__ = ["Sink", "Spool"]
 
@@ -72,6 +75,21 @@ class Spool(Sink):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self._file = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+        self._start = 0
+
+    async def share(self) -> SharedFile:
+        """Let other processes write into the file, which has to be empty, see `take`."""
+        return await asyncio.to_thread(self._share)
+
+    async def take(self, data: bytes | int) -> int:
+        """Append bytes, or as many as another process has put behind the last; return how many."""
+        if not isinstance(data, int):
+            await self.write(data)
+            return len(data)
+        await self.flush()
+        self._file.seek(data, os.SEEK_CUR)
+        self.size += data
+        return data
 
     async def read(self) -> NDArray[np.uint8]:
         """Return all bytes, uint8 ``(size,)``, as one buffer in memory."""
@@ -81,7 +99,7 @@ class Spool(Sink):
     async def chunks(self, size: int = _IN_MEMORY) -> AsyncIterator[bytes]:
         """Yield all bytes in order, ``size`` at a time."""
         await self.flush()
-        await asyncio.to_thread(self._file.seek, 0)
+        await asyncio.to_thread(self._file.seek, self._start)
         while data := await asyncio.to_thread(self._file.read, size):
             yield data
 
@@ -93,6 +111,12 @@ class Spool(Sink):
     def _store(self, data: bytearray) -> None:
         self._file.write(data)
 
+    def _share(self) -> SharedFile:
+        self._file.rollover()
+        shared = SharedFile.of(self._file.fileno())
+        self._start = self._file.seek(shared.start)
+        return shared
+
     def _read_all(self) -> NDArray[np.uint8]:
-        self._file.seek(0)
+        self._file.seek(self._start)
         return np.frombuffer(self._file.read(), np.uint8)

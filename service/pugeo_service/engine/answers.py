@@ -15,6 +15,7 @@ import numpy as np
 from pugeo_model import formats, pipeline
 from pugeo_service.engine.order import Sheet
 from pugeo_service.engine.values import Agreed, Carried, Finished, Prepared, Written
+from pugeo_service.shared_file import SharedFile
 
 __all__ = [
     "agree",
@@ -29,11 +30,12 @@ __all__ = [
 ]
 
 _CHUNK_BYTES = 8 << 20
+_FEW_BYTES = 1 << 16  # so many cross in the message that says that they are there
 
 
-def describe_finished(finished: Finished) -> float:
-    """Return the seconds that finishing a tile took."""
-    return finished.seconds
+def describe_finished(finished: Finished) -> tuple[dict[str, float], list[tuple[float, int]]]:
+    """Return the seconds of each stage of a tile since the network, and each batch's own."""
+    return finished.seconds, finished.batches
 
 
 def border(finished: Finished) -> Carried:
@@ -87,12 +89,25 @@ def at_once(prepared: Prepared) -> Written:
     return prepared.written
 
 
-def describe_written(written: Written) -> Sheet:
-    """Return what the front needs to know of some bytes, and the first chunk of them."""
-    chunks = -(-len(written.data) // _CHUNK_BYTES)
-    return Sheet(chunks, chunk(written, 0), written.report, written.seconds)
+def describe_written(written: Written, file: SharedFile | None) -> Sheet:
+    """Return what the front needs to know of some bytes, with their beginning.
+
+    Args:
+        written: the bytes.
+        file: of the front, where the beginning goes; ``None`` where others come before it.
+    """
+    first = b"" if file is None else chunk(written, 0, file, 0)
+    return Sheet(len(written.data), first, written.report, written.seconds, written.batches)
 
 
-def chunk(written: Written, index: int) -> bytes:
-    """Return a part of the answer small enough for the front's memory."""
-    return written.data[index * _CHUNK_BYTES : (index + 1) * _CHUNK_BYTES].tobytes()
+def chunk(written: Written, start: int, file: SharedFile, offset: int) -> bytes | int:
+    """Bring a part of the answer, from byte ``start`` of it on, to the front.
+
+    Returns:
+        How many bytes were put into the front's file, behind its first ``offset``, or the bytes
+        where that is not worth it or cannot be done from here.
+    """
+    data = written.data[start : start + _CHUNK_BYTES]
+    if len(data) > _FEW_BYTES and file.put(data, offset):
+        return len(data)
+    return data.tobytes()

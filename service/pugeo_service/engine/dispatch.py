@@ -6,9 +6,10 @@ worker. Parts of a stage are therefore given a place each.
 """
 
 import asyncio
+import functools
 import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
 from pugeo_service.engine.order import Order
@@ -23,9 +24,8 @@ Where = Callable[[], str | None]
 # A cloud that others overtake, and that got nothing done for so long, is helped along.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# In one task, of what stays where it is: 0.2 s of patches, which a small cloud waits at most, and
-# landings enough that the task does not cost as much as they do, which is 2 ms each.
-_PART = {"predict_part": 3, "land_part": 12}
+# Patches in one task, where they stay where they are: 0.2 s, which a small cloud waits at most.
+_PART = 3
 
 
 class Dispatch:
@@ -85,7 +85,13 @@ class Dispatch:
         return len(self._lanes.requests) >= self._pool.warm_workers
 
     async def step(
-        self, size: int, stage: Stage, describe: Stage, *args: Any, place: str | None = None
+        self,
+        size: int,
+        stage: Stage,
+        describe: Stage,
+        *args: Any,
+        place: str | None = None,
+        asking: tuple[Any, ...] = (),
     ) -> tuple[Any, Any]:
         """Run a stage that one worker does alone.
 
@@ -95,40 +101,38 @@ class Dispatch:
             describe: the stage that tells the front of its result.
             args: of the stage.
             place: where to run it; where most of ``args`` are if ``None``.
+            asking: arguments of ``describe`` besides the result.
 
         Returns:
             The handle of its result, and the description.
         """
+        ask = functools.partial(self._ask, stage, args, describe, asking)
         if size >= LARGE_PATCHES:
             async with self._lanes.turns:
-                return await self._ask(Lanes.FIRST, stage, describe, *args, long=True, place=place)
+                return await ask(Lanes.FIRST, long=True, place=place)
         if not self._order.background:
-            return await self._ask(self._priority(size), stage, describe, *args)
+            return await ask(self._priority(size))
         try:
             async with asyncio.timeout(_BACKGROUND_PATIENCE_S):
-                return await self._ask(self._priority(size), stage, describe, *args)
+                return await ask(self._priority(size))
         except TimeoutError:
             # It takes no second once it runs, so it did not.
-            return await self._ask(Lanes.FIRST, stage, describe, *args)
+            return await ask(Lanes.FIRST)
 
-    async def spread(
+    async def predict(
         self,
+        prepared: Any,
         patches: int,
-        total: int,
-        stage: Literal["predict_part", "land_part"],
-        source: Any,
         where: Where = lambda: None,
         on_done: Callable[[int], object] = lambda _: None,
     ) -> list[Any]:
-        """Run a stage in parts.
+        """Run the patches of a cloud or a tile through the network, in parts.
 
         Args:
-            patches: of the cloud.
-            total: units of ``source``.
-            stage: landing stays where its source is: it is less work than carrying it.
-            source: handle.
-            where: asked for each part: the worker that has ``source``, if all is to stay there.
-            on_done: is told how many units more are done.
+            prepared: handle of it.
+            patches: of it.
+            where: asked for each part: the worker that has ``prepared``, if all is to stay there.
+            on_done: is told how many patches more are done.
 
         Returns:
             The handles of the parts' results, in order.
@@ -136,22 +140,22 @@ class Dispatch:
         model = self._order.model
 
         def carried() -> bool:
-            return stage == "predict_part" and where() is None and not self.everyone_is_busy
+            return where() is None and not self.everyone_is_busy
 
         def submit(start: int, stop: int, priority: float) -> Any:
-            place = where()
-            # Only the first pass counts as a patch; landing works on the points that it placed.
-            count = stop - start if stage == "predict_part" else 0
+            place, count = where(), stop - start
             if carried():
                 place = self._lanes.emptiest(self._pool.places)
-                part = self.submit("cut_patches", source, start, stop, priority=priority)
+                part = self.submit("cut_patches", prepared, start, stop, priority=priority)
                 result = self.submit(
                     "predict", part, model, priority=priority, patches=count, place=place
                 )
                 self.drop([part])
             else:
-                span = (source, start, stop, model)
-                result = self.submit(stage, *span, priority=priority, patches=count, place=place)
+                span = (prepared, start, stop, model)
+                result = self.submit(
+                    "predict_part", *span, priority=priority, patches=count, place=place
+                )
             if place is not None:
                 self._lanes.load[place] += 1
                 self._places[result] = place
@@ -160,14 +164,14 @@ class Dispatch:
         workers = max(1, self._pool.warm_workers)
         size = self._order.batch_patches
         # Parts for all workers, where they are carried to them.
-        size = min(size, -(-total // workers)) if carried() else max(size, _PART[stage])
+        size = min(size, -(-patches // workers)) if carried() else max(size, _PART)
         haste = None
         if self._order.background:
             haste = Haste(self._lanes.turns, _BACKGROUND_PATIENCE_S, eager=False)
         elif patches >= LARGE_PATCHES:
             haste = Haste(self._lanes.turns, _PATIENCE_S, eager=True)
         spread = Spread(
-            total,
+            patches,
             max(1, size),
             submit=submit,
             wait=self._wait,
@@ -188,16 +192,18 @@ class Dispatch:
 
     async def _ask(
         self,
-        priority: float,
         stage: Stage,
+        args: tuple[Any, ...],
         describe: Stage,
-        *args: Any,
+        asking: tuple[Any, ...],
+        priority: float,
+        *,
         long: bool = False,
         place: str | None = None,
     ) -> tuple[Any, Any]:
         handle = self.submit(stage, *args, priority=priority, long=long, place=place)
         # Queued right away: a question asked later would cost another round trip.
-        described = self.submit(describe, handle)
+        described = self.submit(describe, handle, *asking)
         try:
             value = await self._pool.fetch(described)
         except asyncio.CancelledError:

@@ -5,12 +5,12 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pugeo_service.engine.collector import Collector
 from pugeo_service.engine.dispatch import Dispatch, Where
 from pugeo_service.engine.errors import disk
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
@@ -60,15 +60,22 @@ class Flow:
             WorkerLost, EngineLost: see the pool.
             DiskFailed: the body cannot be read, or there is no room for the answer.
         """
+        with disk():
+            spool = Spool(self._spool_dir)
         try:
+            with disk():
+                file = await spool.share()
             async with AsyncExitStack() as inside:
-                return await self._run(body, inside)
+                return await self._run(body, Collector(spool, file, self._tasks), inside)
+        except BaseException:
+            spool.close()
+            raise
         finally:
             self._lanes.leave(self)
             self._tasks.cancel()
 
-    async def _run(self, body: Readable, inside: AsyncExitStack) -> Outcome:
-        order, seconds, began = self._order, {}, time.perf_counter()
+    async def _run(self, body: Readable, answer: Collector, inside: AsyncExitStack) -> Outcome:
+        order, tally, began = self._order, _Tally(), time.perf_counter()
 
         size = order.estimate(body.size, order.format)
         head: Head
@@ -81,11 +88,16 @@ class Flow:
             data = await body.read()
         if self._tasks.everyone_is_busy and not order.background:
             order = replace(order, at_once_patches=LARGE_PATCHES - 1)
-        prepared, head = await self._tasks.step(size, "prepare", "describe_prepared", data, order)
+        prepared, head = await self._tasks.step(
+            size, "prepare", "describe_prepared", data, order, asking=(answer.file,)
+        )
         # The pool has its own copy, for as long as it may have to begin anew.
         del data
-        seconds["queue"] = time.perf_counter() - began - sum(head.seconds.values())
-        seconds.update(head.seconds)
+        tally.add(queue=0.0)
+        tally.add(*head.batches, **head.seconds)
+        if head.sheet is not None:
+            tally.add(*head.sheet.batches, **head.sheet.seconds)
+        tally.add(queue=time.perf_counter() - began - sum(tally.seconds.values()))
         size = head.patches
         self._lanes.stand(self, size, background=order.background)
         self._watcher.on_patches(size)
@@ -93,43 +105,56 @@ class Flow:
             await inside.aclose()
 
         sheet: Sheet
-        batches = list(head.batches)
         if head.sheet is not None:
             self._watcher.on_done(size)
             written, sheet = prepared, head.sheet
-            if sheet.chunks > 1:
+            if not sheet.whole:
                 written = self._tasks.submit("at_once", prepared)
         elif head.tiles == 1:
-            prepared, landed = await self._dense(prepared, head, seconds, batches)
+            prepared, charted = await self._predicted(prepared, head, tally)
             self._watcher.on_stage("finish")
             written, sheet = await self._tasks.step(
-                size, "finish", "describe_written", prepared, landed, order.answer
+                size,
+                "finish",
+                "describe_written",
+                prepared,
+                charted,
+                order.model,
+                order.answer,
+                asking=(answer.file,),
             )
-            self._tasks.drop(landed)
+            self._tasks.drop(charted)
+            tally.add(*sheet.batches, **sheet.seconds)
         else:
-            pieces = await self._tiled(prepared, head.tiles, seconds, batches)
+            pieces = await self._tiled(prepared, head.tiles, tally)
             self._watcher.on_stage("finish")
             if head.by_rows:
-                return await self._by_rows(prepared, pieces, seconds, batches)
+                return await self._by_rows(prepared, pieces, answer, tally)
             written, sheet = await self._tasks.step(
-                size, "assemble", "describe_written", prepared, pieces, order.answer
+                size,
+                "assemble",
+                "describe_written",
+                prepared,
+                pieces,
+                order.answer,
+                asking=(answer.file,),
             )
             self._tasks.drop(pieces)
-        _add(seconds, sheet.seconds)
+            tally.add(**sheet.seconds)
         self._tasks.drop([prepared])
 
         self._watcher.on_stage("collect")
         began = time.perf_counter()
-        spool = await self._spooled(self._chunks(written, sheet))
-        seconds["collect"] = time.perf_counter() - began
-        return Outcome(spool, sheet.report, seconds, batches)
+        await answer.collect(written, sheet)
+        await answer.flush()
+        tally.add(collect=time.perf_counter() - began)
+        return Outcome(answer.spool, sheet.report, tally.seconds, tally.batches)
 
     async def _tiled(
         self,
         prepared: Any,
         tiles: int,
-        seconds: dict[str, float],
-        batches: list[tuple[float, int]],
+        tally: "_Tally",
     ) -> list[Any]:
         """Run the tiles of a cloud, as many at one time as there are workers.
 
@@ -155,14 +180,20 @@ class Flow:
                     LARGE_PATCHES, "prepare_tile", "describe_prepared", tile, place=where()
                 )
                 self._tasks.drop([tile])
-                _add(seconds, head.seconds)
-                job, landed = await self._dense(job, head, seconds, batches, where)
+                tally.add(**head.seconds)
+                job, charted = await self._predicted(job, head, tally, where)
                 self._watcher.on_stage("finish")
-                pieces[number], spent = await self._tasks.step(
-                    LARGE_PATCHES, "finish_tile", "describe_finished", job, landed, place=where()
+                pieces[number], (spent, ran) = await self._tasks.step(
+                    LARGE_PATCHES,
+                    "finish_tile",
+                    "describe_finished",
+                    job,
+                    charted,
+                    self._order.model,
+                    place=where(),
                 )
-                _add(seconds, {"finish": spent})
-                self._tasks.drop([job, *landed])
+                tally.add(*ran, **spent)
+                self._tasks.drop([job, *charted])
             busy.discard(place or "")
 
         tasks = [asyncio.create_task(lane(place)) for place in places or (None,)]
@@ -174,76 +205,48 @@ class Flow:
             await asyncio.gather(*tasks, return_exceptions=True)
         return pieces
 
-    async def _dense(
+    async def _predicted(
         self,
         prepared: Any,
         head: Head,
-        seconds: dict[str, float],
-        batches: list[tuple[float, int]],
+        tally: "_Tally",
         where: Where = lambda: None,
     ) -> tuple[Any, list[Any]]:
-        """From patches to points on the surface.
+        """From patches to charts.
 
         Returns:
             The handle of what was prepared, which is another where it was noisy, and those of the
-            points.
+            charts.
         """
         self._watcher.on_stage("predict")
         began, size = time.perf_counter(), head.patches
-        charted = await self._tasks.spread(
-            size, size, "predict_part", prepared, where, self._watcher.on_done
-        )
-        _add(seconds, {"predict": time.perf_counter() - began})
-
+        charted = await self._tasks.predict(prepared, size, where, self._watcher.on_done)
         if head.noisy:
-            began = time.perf_counter()
-            spots, (landings, _, ran) = await self._tasks.step(
-                size, "own_spots", "describe_merged", prepared, charted, place=where()
-            )
-            landed = await self._tasks.spread(size, landings, "land_part", spots, where)
             again, head = await self._tasks.step(
-                size, "denoise", "describe_prepared", prepared, landed, place=where()
+                size,
+                "denoise",
+                "describe_prepared",
+                prepared,
+                charted,
+                self._order.model,
+                place=where(),
             )
-            self._tasks.drop([spots, *landed])
             if head.noisy:
                 self._tasks.drop([again])
             else:
-                batches += ran
+                tally.add(*head.batches)
                 self._tasks.drop([prepared, *charted])
                 prepared = again
-                charted = await self._tasks.spread(size, size, "predict_part", prepared, where)
-            _add(seconds, {"predict": time.perf_counter() - began})
-
-        self._watcher.on_stage("land")
-        proposed, (landings, proposing, ran) = await self._tasks.step(
-            size, "propose", "describe_merged", prepared, charted, place=where()
-        )
-        batches += ran
-        began = time.perf_counter()
-        candidates = await self._tasks.spread(size, landings, "land_part", proposed, where)
-        self._tasks.drop([proposed])
-        _add(seconds, {"land": time.perf_counter() - began})
-
-        self._watcher.on_stage("merge")
-        merged, (landings, merging, _) = await self._tasks.step(
-            size, "merge", "describe_merged", prepared, charted, candidates, place=where()
-        )
-        _add(seconds, {"merge": proposing + merging})
-        self._tasks.drop([*charted, *candidates])
-
-        self._watcher.on_stage("land")
-        began = time.perf_counter()
-        landed = await self._tasks.spread(size, landings, "land_part", merged, where)
-        _add(seconds, {"land": time.perf_counter() - began})
-        self._tasks.drop([merged])
-        return prepared, landed
+                charted = await self._tasks.predict(prepared, size, where)
+        tally.add(predict=time.perf_counter() - began)
+        return prepared, charted
 
     async def _by_rows(
         self,
         prepared: Any,
         pieces: list[Any],
-        seconds: dict[str, float],
-        batches: list[tuple[float, int]],
+        answer: Collector,
+        tally: "_Tally",
     ) -> Outcome:
         """Write the tiles one by one, each where it is, and bring them here in order."""
         said = [self._tasks.submit("border", piece) for piece in pieces]
@@ -251,74 +254,65 @@ class Flow:
             LARGE_PATCHES, "agree", "describe_agreed", prepared, said, self._order.answer
         )
         self._tasks.drop([prepared, *said])
-        _add(seconds, {"finish": spent})
+        tally.add(finish=spent)
 
         self._watcher.on_stage("collect")
         began, waited = time.perf_counter(), 0.0
 
-        writing: deque[asyncio.Task[tuple[Any, Sheet]]] = deque()
-
         async def write(number: int, piece: Any) -> tuple[Any, Sheet]:
             written = await self._tasks.step(
-                LARGE_PATCHES, "write_tile", "describe_written", piece, agreed, number
+                LARGE_PATCHES,
+                "write_tile",
+                "describe_written",
+                piece,
+                agreed,
+                number,
+                # Where in the file it goes is known when the tiles before it are.
+                asking=(None,),
             )
             self._tasks.drop([piece])
             return written
 
-        async def chunks() -> AsyncIterator[bytes]:
-            nonlocal waited
-            waiting = enumerate(pieces)
-            # The workers write while what they wrote before is brought here; the front holds the
-            # first chunk of each.
-            window = min(self._pool.warm_workers, _WRITERS) + 1
+        # The workers write while what they wrote before is brought here.
+        window = min(self._pool.warm_workers, _WRITERS) + 1
+        waiting = enumerate(pieces)
+        writing: deque[asyncio.Task[tuple[Any, Sheet]]] = deque()
+        try:
             while True:
                 for each in itertools.islice(waiting, window - len(writing)):
                     writing.append(asyncio.create_task(write(*each)))
                 if not writing:
-                    return
+                    break
                 asked = time.perf_counter()
                 written, sheet = await writing.popleft()
                 waited += time.perf_counter() - asked
-                _add(seconds, sheet.seconds)
-                async for data in self._chunks(written, sheet):
-                    yield data
+                tally.add(**sheet.seconds)
+                await answer.collect(written, sheet)
                 self._tasks.drop([written])
-
-        try:
-            spool = await self._spooled(chunks())
         finally:
             for task in writing:
                 task.cancel()
             await asyncio.gather(*writing, return_exceptions=True)
+        await answer.flush()
         self._tasks.drop([agreed])
-        seconds["collect"] = time.perf_counter() - began - waited
-        return Outcome(spool, report, seconds, batches)
-
-    async def _chunks(self, written: Any, sheet: Sheet) -> AsyncIterator[bytes]:
-        """Bring bytes here, a chunk at a time: little is in memory whatever the size."""
-        yield sheet.first
-        for index in range(1, sheet.chunks):
-            handle = self._tasks.submit("chunk", written, index)
-            yield await self._tasks.fetch(handle)
-            self._tasks.drop([handle])
-
-    async def _spooled(self, parts: AsyncIterator[bytes]) -> Spool:
-        """Put all on disk here, so that no worker waits for a slow client."""
-        with disk():
-            spool = Spool(self._spool_dir)
-        try:
-            async for data in parts:
-                with disk():
-                    await spool.write(data)
-            with disk():
-                # A disk without room must show before the answer begins.
-                await spool.flush()
-        except BaseException:
-            spool.close()
-            raise
-        return spool
+        tally.add(collect=time.perf_counter() - began - waited)
+        return Outcome(answer.spool, report, tally.seconds, tally.batches)
 
 
-def _add(seconds: dict[str, float], more: dict[str, float]) -> None:
-    for stage, spent in more.items():
-        seconds[stage] = seconds.get(stage, 0.0) + spent
+class _Tally:
+    """What a request took so far.
+
+    Attributes:
+        seconds: of each stage, in the order in which they were told of.
+        batches: seconds and patches of each batch that the network ran.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.batches: list[tuple[float, int]] = []
+
+    def add(self, *batches: tuple[float, int], **seconds: float) -> None:
+        """Add to both."""
+        self.batches += batches
+        for stage, spent in seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes into the engine and what comes out of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -62,7 +62,7 @@ class Head:
         seconds: time of each stage so far.
         by_rows: the answer can be written tile by tile.
         sheet: of the answer, where the cloud was so small that it is done already.
-        batches: seconds and patches that the network took for it.
+        batches: seconds and patches that the network took for what is predicted once more.
         noisy: it is to be denoised. Said of what was: its points were right, its charts still hold.
     """
 
@@ -71,25 +71,33 @@ class Head:
     seconds: dict[str, float]
     by_rows: bool = False
     sheet: "Sheet | None" = None
-    batches: tuple[tuple[float, int], ...] = ()
+    batches: Sequence[tuple[float, int]] = ()
     noisy: bool = False
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """What the front learns once an answer is written, with the first chunk of it.
+    """What the front learns once an answer, or a part of one, is written.
 
     Attributes:
-        chunks: how many chunks the answer has.
-        first: chunk 0.
+        size: how many bytes it has.
+        first: those of them that came along, or how many are in the front's file already.
         report: the model's report of the run.
         seconds: time of each stage on the workers.
+        batches: seconds and patches that the network took.
     """
 
-    chunks: int
-    first: bytes
+    size: int
+    first: bytes | int
     report: dict[str, Any]
     seconds: dict[str, float]
+    batches: Sequence[tuple[float, int]] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether all bytes came along."""
+        came = self.first if isinstance(self.first, int) else len(self.first)
+        return came == self.size
 
 
 @dataclass(frozen=True)

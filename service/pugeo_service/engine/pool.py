@@ -15,12 +15,7 @@ Stage = Literal[
     "cut_patches",
     "predict",
     "predict_part",
-    "own_spots",
     "denoise",
-    "propose",
-    "merge",
-    "describe_merged",
-    "land_part",
     "finish",
     "finish_tile",
     "describe_finished",
@@ -37,7 +32,6 @@ Stage = Literal[
 QUICK: frozenset[Stage] = frozenset(
     {
         "describe_prepared",
-        "describe_merged",
         "describe_finished",
         "describe_agreed",
         "describe_written",

@@ -32,9 +32,7 @@ def warm(model: str) -> None:
     prepared = stages.prepare(sample_body(), sample_order(model, deadline_s=0.0))
     total = stages.describe_prepared(prepared).patches
     charted = [stages.predict_part(prepared, i, i + 1, model) for i in range(total)]
-    proposed = stages.propose(prepared, charted)
-    merged = stages.merge(prepared, charted, [stages.land(proposed.landings, model)])
-    stages.finish(prepared, [stages.land(merged.landings, model)], "ply")
+    stages.finish(prepared, charted, model, "ply")
 
 
 def one_at_a_time(worker: Any) -> None:

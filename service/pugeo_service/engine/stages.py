@@ -32,7 +32,8 @@ from pugeo_service.engine.answers import (
     write_tile,
 )
 from pugeo_service.engine.order import Head, Order
-from pugeo_service.engine.values import Carried, Charted, Cut, Finished, Merged, Prepared, Written
+from pugeo_service.engine.values import Carried, Charted, Cut, Finished, Prepared, Written
+from pugeo_service.shared_file import SharedFile
 
 __all__ = [
     "agree",
@@ -45,20 +46,15 @@ __all__ = [
     "denoise",
     "describe_agreed",
     "describe_finished",
-    "describe_merged",
     "describe_prepared",
     "describe_written",
     "finish",
     "finish_tile",
-    "land_part",
     "load_model",
-    "merge",
-    "own_spots",
     "predict",
     "predict_part",
     "prepare",
     "prepare_tile",
-    "propose",
     "write_tile",
 ]
 
@@ -93,45 +89,37 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
 
 def _at_once(prepared: Prepared, order: Order) -> Prepared:
     """Go all the way: passing it on would take longer than the work, or gain nothing."""
-    charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
-    denoising, batches = 0.0, []
+    seconds, predicting = dict(prepared.seconds), 0.0
+
+    def predicted() -> list[Charted]:
+        nonlocal predicting
+        charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
+        predicting += charted.seconds
+        return [charted]
+
+    charted = predicted()
     if pipeline.noisy(prepared.job):
-        start = time.perf_counter()
-        spots = own_spots(prepared, [charted])
-        again = denoise(prepared, [land(spots.landings, order.model)])
-        denoising = time.perf_counter() - start
+        again = denoise(prepared, charted, order.model)
+        seconds["prepare"] += again.seconds["prepare"]
         if again.job is not prepared.job:
-            denoising += charted.seconds
-            batches += spots.batches
-            prepared = replace(prepared, job=again.job)
-            charted = predict_part(prepared, 0, len(prepared.job.patches), order.model)
-    proposed = propose(prepared, [charted])
-    start = time.perf_counter()
-    candidates = land(proposed.landings, order.model)
-    landing = time.perf_counter() - start
-    merged = merge(prepared, [charted], [candidates])
-    start = time.perf_counter()
-    landed = land(merged.landings, order.model)
-    landing += time.perf_counter() - start
-    written = finish(prepared, [landed], order.answer)
-    seconds = {
-        **prepared.seconds,
-        "prepare": prepared.seconds["prepare"] + denoising,
-        "predict": charted.seconds,
-        "land": landing,
-        "merge": proposed.seconds + merged.seconds,
-    }
-    return replace(
-        prepared, seconds=seconds, written=written, batches=(*batches, *proposed.batches)
-    )
+            prepared = again
+            charted = predicted()
+    written = finish(prepared, charted, order.model, order.answer)
+    seconds["predict"] = predicting
+    return replace(prepared, seconds=seconds, written=written)
 
 
-def describe_prepared(prepared: Prepared) -> Head:
-    """Return what the front needs to know of a prepared cloud or tile."""
+def describe_prepared(prepared: Prepared, file: SharedFile | None = None) -> Head:
+    """Return what the front needs to know of a prepared cloud or tile.
+
+    Args:
+        prepared: the cloud or tile.
+        file: of the front, where the answer goes if it is there already; ``None`` of a tile.
+    """
     plan, job = prepared.plan, prepared.job
     patches = plan.report["patches"] if job is None else len(job.patches)
     tiles = 1 if job is not None else len(plan.cuts)
-    sheet = None if prepared.written is None else describe_written(prepared.written)
+    sheet = None if prepared.written is None else describe_written(prepared.written, file)
     noisy = job is not None and sheet is None and pipeline.noisy(job)
     return Head(patches, tiles, prepared.seconds, prepared.by_rows, sheet, prepared.batches, noisy)
 
@@ -166,74 +154,77 @@ def predict_part(prepared: Prepared, start: int, stop: int, model: str) -> Chart
     return predict(cut_patches(prepared, start, stop), model)
 
 
-def own_spots(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
-    """Gather the input's points; ``batches`` are in the order of the patches."""
-    return _spots(pipeline.own_spots, prepared, batches)
+def denoise(prepared: Prepared, batches: Sequence[Charted], model: str) -> Prepared:
+    """Prepare a noisy cloud, or tile, anew from where its points land.
 
-
-def denoise(prepared: Prepared, batches: Sequence[list[Any]]) -> Prepared:
-    """Prepare a noisy cloud, or tile, anew from where its points landed."""
+    Args:
+        prepared: the cloud or tile.
+        batches: its charts, in the order of the patches.
+        model: name of the weights.
+    """
     start = time.perf_counter()
-    job = pipeline.denoise(prepared.job, [landed for batch in batches for landed in batch])
-    return replace(prepared, job=job, seconds={"prepare": time.perf_counter() - start})
-
-
-def propose(prepared: Prepared, batches: Sequence[Charted]) -> Merged:
-    """Gather the candidates of all charts; ``batches`` are in the order of the patches."""
-    return _spots(pipeline.propose, prepared, batches)
-
-
-def _spots(
-    choose: Callable[..., list[Any]], prepared: Prepared, batches: Sequence[Charted]
-) -> Merged:
-    start = time.perf_counter()
-    landings = choose(prepared.job, [chart for b in batches for chart in b.charts])
-    sizes = [(batch.seconds, len(batch.charts)) for batch in batches]
-    return Merged(landings, time.perf_counter() - start, sizes)
-
-
-def merge(
-    prepared: Prepared, batches: Sequence[Charted], candidates: Sequence[list[Any]]
-) -> Merged:
-    """Decide where the points of the answer go."""
-    start = time.perf_counter()
-    landings = pipeline.merge(
-        prepared.job,
-        [chart for b in batches for chart in b.charts],
-        [landed for batch in candidates for landed in batch],
+    spots = pipeline.own_spots(prepared.job, _charts(batches))
+    job = pipeline.denoise(prepared.job, _landed(spots, model))
+    gone = _sizes(batches) if job is not prepared.job else []
+    return replace(
+        prepared, job=job, seconds={"prepare": time.perf_counter() - start}, batches=gone
     )
-    return Merged(landings, time.perf_counter() - start, [])
 
 
-def describe_merged(merged: Merged) -> tuple[int, float, list[tuple[float, int]]]:
-    """Return the number of landings, the seconds of merging, and each batch's own."""
-    return len(merged.landings), merged.seconds, merged.batches
+def finish_tile(prepared: Prepared, batches: Sequence[Charted], model: str) -> Finished:
+    """From charts to dense points: where they go and land, and the rest that decides on a tile.
+
+    It is one task: what is between its steps is larger than its result, and each task costs the
+    front some milliseconds.
+
+    Args:
+        prepared: the cloud or tile.
+        batches: its charts, in the order of the patches.
+        model: name of the weights.
+    """
+    job, charts, clock = prepared.job, _charts(batches), _Clock()
+    proposed = clock("merge", pipeline.propose, job, charts)
+    candidates = clock("land", _landed, proposed, model)
+    merged = clock("merge", pipeline.merge, job, charts, candidates)
+    points = clock("land", _landed, merged, model)
+    piece = clock("finish", pipeline.finish, job, points)
+    return Finished(piece, clock.seconds, _sizes(batches))
 
 
-def land(landings: Sequence[Any], model: str) -> list[Any]:
-    """Put points on the surface through the network's heads."""
+def finish(prepared: Prepared, batches: Sequence[Charted], model: str, answer: str) -> Written:
+    """From charts to the bytes of the answer in the format ``answer``; see `finish_tile`."""
+    part = finish_tile(prepared, batches, model)
+    written = assemble(prepared, [part], answer)
+    seconds = {**part.seconds, **written.seconds}
+    seconds["finish"] += part.seconds["finish"]
+    return replace(written, seconds=seconds, batches=part.batches)
+
+
+class _Clock:
+    """Adds up what calls take, by name."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(("land", "merge", "finish"), 0.0)
+
+    def __call__(self, name: str, call: Callable[..., Any], *args: Any) -> Any:
+        start = time.perf_counter()
+        result = call(*args)
+        self.seconds[name] += time.perf_counter() - start
+        return result
+
+
+def _charts(batches: Sequence[Charted]) -> list[Any]:
+    return [chart for batch in batches for chart in batch.charts]
+
+
+def _sizes(batches: Sequence[Charted]) -> list[tuple[float, int]]:
+    return [(batch.seconds, len(batch.charts)) for batch in batches]
+
+
+def _landed(landings: Sequence[Any], model: str) -> list[Any]:
+    """Points on the surface, through the network's heads."""
     network = load_model(model)
     return [pipeline.land(network, landing) for landing in landings]
-
-
-def land_part(merged: Merged, start: int, stop: int, model: str) -> list[Any]:
-    """Put points on the surface where their landings are."""
-    return land(merged.landings[start:stop], model)
-
-
-def finish(prepared: Prepared, batches: Sequence[list[Any]], answer: str) -> Written:
-    """Finish the dense cloud and write it in the format ``answer``."""
-    part = finish_tile(prepared, batches)
-    written = assemble(prepared, [part], answer)
-    finishing = written.seconds["finish"] + part.seconds
-    return replace(written, seconds={**written.seconds, "finish": finishing})
-
-
-def finish_tile(prepared: Prepared, batches: Sequence[list[Any]]) -> Finished:
-    """Finish the dense points of a tile."""
-    start = time.perf_counter()
-    piece = pipeline.finish(prepared.job, [landed for batch in batches for landed in batch])
-    return Finished(piece, time.perf_counter() - start)
 
 
 def _check_output(cloud: Cloud, options: Options, limit: int) -> None:

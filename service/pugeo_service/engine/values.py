@@ -5,13 +5,13 @@ Everything of the model's is ``Any``: the front reads these types and must not i
 are made of.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Agreed", "Carried", "Charted", "Cut", "Finished", "Merged", "Prepared", "Written"]
+__all__ = ["Agreed", "Carried", "Charted", "Cut", "Finished", "Prepared", "Written"]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Prepared:
         seconds: of each stage so far.
         by_rows: the answer can be written tile by tile.
         written: the answer, where the cloud was small enough to be done at once.
-        batches: seconds and patches that the network took for it.
+        batches: seconds and patches that the network took for a noisy cloud, before it was prepared
+            anew.
     """
 
     plan: Any
@@ -43,7 +44,7 @@ class Prepared:
     seconds: dict[str, float]
     by_rows: bool = False
     written: "Written | None" = None
-    batches: tuple[tuple[float, int], ...] = ()
+    batches: list[tuple[float, int]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -63,20 +64,18 @@ class Charted:
 
 
 @dataclass(frozen=True)
-class Merged:
-    """Where candidates, or the points of the answer, are to land."""
-
-    landings: list[Any]
-    seconds: float
-    batches: list[tuple[float, int]]
-
-
-@dataclass(frozen=True)
 class Finished:
-    """The dense points of a tile."""
+    """The dense points of a tile.
+
+    Attributes:
+        piece: the points.
+        seconds: of each stage since the network.
+        batches: seconds and patches that the network took for it.
+    """
 
     piece: Any
-    seconds: float
+    seconds: dict[str, float]
+    batches: list[tuple[float, int]]
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,16 @@ class Agreed:
 
 @dataclass(frozen=True)
 class Written:
-    """Bytes of the answer, uint8: all, or those of a tile."""
+    """Bytes of the answer, uint8: all, or those of a tile.
+
+    Attributes:
+        data: the bytes.
+        report: what happened.
+        seconds: of each stage that nobody was told of yet.
+        batches: seconds and patches that the network took, likewise.
+    """
 
     data: NDArray[np.uint8]
     report: dict[str, Any]
     seconds: dict[str, float]
+    batches: list[tuple[float, int]] = field(default_factory=list)

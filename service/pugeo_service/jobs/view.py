@@ -17,7 +17,7 @@ class ProgressView(BaseModel):
 
     stage: Annotated[
         str,
-        Field(description="queued, prepare, predict, land, merge, finish, collect or done"),
+        Field(description="queued, prepare, predict, finish, collect or done"),
     ]
     done: Annotated[int, Field(description="patches that went through the network")]
     total: Annotated[int | None, Field(description="patches in all; null until they are counted")]

@@ -34,7 +34,7 @@ def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[Finished]]:
         landed = [pipeline.land(model, each) for each in pipeline.propose(job, charts)]
         merged = pipeline.merge(job, charts, landed)
         points = [pipeline.land(model, each) for each in merged]
-        found.append(Finished(pipeline.finish(job, points), 0.0))
+        found.append(Finished(pipeline.finish(job, points), {}, []))
     assert len(found) > 2
     return Prepared(plan, None, {}), found
 

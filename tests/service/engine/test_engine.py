@@ -26,6 +26,7 @@ from pugeo_service.engine import (
 )
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
+from pugeo_service.shared_file import SharedFile
 from pugeo_service.spool import Spool
 
 pytestmark = pytest.mark.slow
@@ -105,6 +106,38 @@ def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"])
     sphere = points(found[0])
     assert sphere.shape == (6000, 3)
     assert np.abs(np.linalg.norm(sphere, axis=1) - 1).max() < 0.1
+
+
+def test_the_answer_comes_by_file_or_by_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker elsewhere cannot reach the front's file; the bytes are the same."""
+    took: list[bool] = []
+    take, of = Spool.take, SharedFile.of
+
+    async def watched(spool: Spool, data: bytes | int) -> int:
+        took.append(isinstance(data, int))
+        return await take(spool, data)
+
+    def elsewhere(descriptor: int) -> SharedFile:
+        return dataclasses.replace(of(descriptor), path="/nowhere")
+
+    monkeypatch.setattr(Spool, "take", watched)
+    answers = []
+
+    async def scenario(engine: Engine) -> None:
+        took.clear()
+        for here in (True, False):
+            if not here:
+                monkeypatch.setattr(SharedFile, "of", elsewhere)
+            outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)
+            with outcome.spool as spool:
+                answers.append((await spool.read()).tobytes())
+
+    play(Settings(workers=1, spool_dir=tmp_path), scenario)
+    assert took == [Path("/proc/self/fd").exists(), False]
+    assert len(answers[0]) > 6000 * 24
+    assert answers[0] == answers[1]
 
 
 def test_a_poisonous_request_harms_nobody_else(

@@ -3,133 +3,19 @@
 
 import asyncio
 import contextlib
-import errno
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.service.engine.recorder import ORDER, Handle, Recorder, run
 
 from pugeo_service.engine import dispatch as module
-from pugeo_service.engine.errors import DiskFailed, EngineLost
+from pugeo_service.engine.errors import EngineLost
 from pugeo_service.engine.flow import Flow
 from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
-from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
-from pugeo_service.engine.sample import sample_order
-from pugeo_service.spool import Spool
-
-ORDER = replace(sample_order("standard", deadline_s=60.0), batch_patches=2)
-
-
-@dataclass(eq=False)
-class Handle:
-    """A task as the pool got it."""
-
-    stage: str
-    args: tuple[Any, ...]
-    priority: float
-    long: bool
-    place: str | None
-    live: bool = True
-
-
-@dataclass
-class Recorder:
-    """A pool that does no work but notes what it is asked."""
-
-    patches: int
-    seconds: Callable[[Handle], float] = lambda _: 0.0
-    fails: str = ""
-    tiles: int = 1
-    by_rows: bool = False
-    handles: list[Handle] = field(default_factory=list)
-    running: int = 0
-    most_running: int = 0
-    warm_workers = 2
-    places = ("one", "two")
-    lost_workers = 0
-    retried_patches = 0
-
-    async def start(self) -> None:
-        """There is nothing to start, or to stop."""
-
-    stop = start
-
-    def submit(
-        self,
-        stage: str,
-        *args: Any,
-        priority: float,
-        seconds: float,
-        long: bool,
-        patches: int = 0,
-        place: str | None = None,
-    ) -> Handle:
-        assert 0 < seconds <= ORDER.deadline_s
-        spans = {"predict": lambda: args[0].args[1:3], "predict_part": lambda: args[1:3]}
-        start, stop = spans.get(stage, lambda: (0, 0))()
-        assert patches == stop - start
-        self.handles.append(Handle(stage, args, priority, long, place))
-        return self.handles[-1]
-
-    async def wait(self, handle: Handle) -> None:
-        self.running += 1
-        self.most_running = max(self.most_running, self.running)
-        try:
-            await asyncio.sleep(self.seconds(handle))
-        finally:
-            self.running -= 1
-        if handle.stage == self.fails:
-            raise KeyError(handle.stage)
-
-    async def fetch(self, handle: Handle) -> Any:
-        await asyncio.sleep(0)
-        if handle.args and getattr(handle.args[0], "stage", None) == self.fails:
-            raise KeyError(self.fails)
-        whole = handle.args[0].stage == "prepare"
-        answers: dict[str, Any] = {
-            "describe_prepared": Head(
-                self.patches, self.tiles if whole else 1, {"prepare": 1.0}, self.by_rows
-            ),
-            "describe_finished": 1.0,
-            "describe_merged": (self.patches, 0.0, [(0.1, 2)]),
-            "describe_agreed": ({"points_in": 1}, 2.0),
-            "describe_written": Sheet(3, b"0", {"points_in": 1}, {"finish": 0.0, "write": 0.0}),
-            "chunk": str(handle.args[-1]).encode(),
-        }
-        return answers[handle.stage]
-
-    def release(self, handles: Iterable[Handle]) -> None:
-        for handle in handles:
-            handle.live = False
-
-    cancel = release
-
-    def of(self, stage: str) -> list[Handle]:
-        """The tasks of one stage, in the order they were submitted."""
-        return [handle for handle in self.handles if handle.stage == stage]
-
-
-def run(
-    pool: Recorder,
-    tmp_path: Path,
-    watcher: Watcher | None = None,
-    *,
-    order: Order = ORDER,
-    size: int = 10,
-    lanes: Lanes | None = None,
-) -> tuple[Outcome, bytes]:
-    """Run the order on the pool; return the outcome and its bytes."""
-
-    async def whole() -> tuple[Outcome, bytes]:
-        flow = Flow(pool, order, lanes or Lanes(lambda: 2), watcher or Watcher(), tmp_path)
-        outcome = await flow.run(InMemory(np.zeros(size, np.uint8)))
-        with outcome.spool as spool:
-            return outcome, (await spool.read()).tobytes()
-
-    return asyncio.run(whole())
+from pugeo_service.engine.order import Head, InMemory, Sheet, Watcher
 
 
 def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
@@ -138,9 +24,8 @@ def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
     _, data = run(pool, tmp_path)
     cuts = [handle.args[1:] for handle in pool.of("cut_patches")]
     assert cuts == [(0, 2), (2, 4), (4, 6), (6, 7)]
-    for stage in ("propose", "merge"):
-        charted = pool.of(stage)[0].args[1]
-        assert [handle.args[0].args[1:] for handle in charted] == cuts
+    charted = pool.of("finish")[0].args[1]
+    assert [handle.args[0].args[1:] for handle in charted] == cuts
     assert data == b"012"
 
 
@@ -157,33 +42,6 @@ def test_a_cloud_in_tiles(tmp_path: Path) -> None:
     stages = [handle.stage for handle in pool.handles if handle.stage.endswith("_tile")]
     assert stages[:2] == ["cut_tile", "prepare_tile"]
     assert (outcome.seconds["prepare"], len(outcome.batches)) == (6.0, 5)
-    assert not any(handle.live for handle in pool.handles)
-
-
-def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
-    """Where rows can follow each other nothing is joined: tiles agree, and each is written."""
-    live: list[int] = []
-
-    class Watched(Recorder):
-        async def fetch(self, handle: Handle) -> Any:
-            if handle.stage == "chunk":
-                await asyncio.sleep(0.05)
-                live.append(sum(each.live for each in self.of("finish_tile")))
-            return await super().fetch(handle)
-
-    pool = Watched(9, tiles=5, by_rows=True)
-    outcome, data = run(pool, tmp_path)
-    # Of what is on its way no tile is kept, nor of those that both workers wrote meanwhile.
-    assert live == [2, 2, 1, 1, 0, 0, 0, 0, 0, 0]
-    assert data == 5 * b"012"
-    assert not pool.of("assemble")
-    (agreed,) = pool.of("agree")
-    assert [said.stage for said in agreed.args[1]] == ["border"] * 5
-    written = pool.of("write_tile")
-    assert [handle.args[0].args[0].args[0].args[1] for handle in written] == list(range(5))
-    assert all(handle.args[1] is agreed for handle in written)
-    assert outcome.report == {"points_in": 1}
-    assert (outcome.seconds["finish"], outcome.seconds["write"]) == (7.0, 0.0)
     assert not any(handle.live for handle in pool.handles)
 
 
@@ -269,7 +127,7 @@ def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
     large, small = Recorder(20), Recorder(LARGE_PATCHES - 1)
     for pool in (large, small):
         run(pool, tmp_path)
-    tasks = ("predict", "land_part", "propose", "merge", "finish")
+    tasks = ("predict", "finish")
     ranks = {handle.priority for stage in tasks for handle in small.of(stage)}
     assert len(ranks) == 1
     assert min(ranks) > min(handle.priority for handle in large.of("predict"))
@@ -282,11 +140,9 @@ def test_large_requests_have_turns(tmp_path: Path) -> None:
     pool = Recorder(80, seconds=lambda _: 0.01)
     lanes = Lanes(lambda: 2)
     run(pool, tmp_path, lanes=lanes)
-    for stage in ("propose", "merge", "finish"):
-        assert pool.of(stage)[0].priority == Lanes.FIRST
-        assert pool.of(stage)[0].long
-    for stage in ("predict", "land_part"):
-        assert {handle.priority == Lanes.FIRST for handle in pool.of(stage)} == {True, False}
+    assert pool.of("finish")[0].priority == Lanes.FIRST
+    assert pool.of("finish")[0].long
+    assert {handle.priority == Lanes.FIRST for handle in pool.of("predict")} == {True, False}
     assert lanes.turns.inside == lanes.entrance.inside == 0
 
 
@@ -375,7 +231,7 @@ def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -
     assert not any([*lanes.load.values(), *(handle.live for handle in pool.handles)])
 
 
-@pytest.mark.parametrize("stage", ["", "predict", "land_part"])
+@pytest.mark.parametrize("stage", ["", "predict", "finish"])
 def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
     """After a success and after an error, every handle is given back."""
     pool = Recorder(9, fails=stage)
@@ -384,17 +240,3 @@ def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
     assert pool.running == 0
     assert not [handle for handle in pool.handles if handle.live]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No room for the answer, however small its last piece, shows before the answer begins."""
-
-    def store(_spool: Spool, _data: bytearray) -> None:
-        raise OSError(errno.ENOSPC, "full")
-
-    monkeypatch.setattr(Spool, "_store", store)
-    pool = Recorder(3)
-    with pytest.raises(DiskFailed) as caught:
-        run(pool, tmp_path)
-    assert caught.value.error.errno == errno.ENOSPC
-    assert not any(handle.live for handle in pool.handles)

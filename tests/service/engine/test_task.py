@@ -21,7 +21,7 @@ def test_a_stage_that_hangs() -> None:
     """The process ends with a traceback that shows where it hung."""
     code = (
         "import time; from pugeo_service.engine import stages, task; task._GRACE_S = 0; "
-        "stages.merge = time.sleep; task.run_stage('merge', 0.0, 60)"
+        "stages.finish = time.sleep; task.run_stage('finish', 0.0, 60)"
     )
     start = time.monotonic()
     command = [sys.executable, "-c", code]
@@ -35,7 +35,7 @@ def test_the_clock_stops_with_the_stage() -> None:
     """A process whose stage was in time lives on."""
     code = (
         "import time; from pugeo_service.engine import stages, task; task._GRACE_S = 0; "
-        "stages.merge = time.sleep; task.run_stage('merge', 0.0, 0.1); time.sleep(2)"
+        "stages.finish = time.sleep; task.run_stage('finish', 0.0, 0.1); time.sleep(2)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -44,9 +44,9 @@ def test_what_runs_beside_leaves_the_clock_alone() -> None:
     """A quick stage that ends meanwhile does not stop the clock of one that hangs."""
     code = (
         "import threading, time; from pugeo_service.engine import stages, task; task._GRACE_S = 0; "
-        "stages.merge, stages.chunk = time.sleep, time.sleep; "
+        "stages.finish, stages.chunk = time.sleep, time.sleep; "
         "beside = threading.Timer(0.2, task.run_stage, ('chunk', 0.0, 0.1)); beside.start(); "
-        "task.run_stage('merge', 0.0, 60)"
+        "task.run_stage('finish', 0.0, 60)"
     )
     start = time.monotonic()
     ended = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)
