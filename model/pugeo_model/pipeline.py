@@ -14,7 +14,7 @@
     result     = assemble(plan, pieces)
 
 The stages are plain functions of plain data, so that the command line runs them in a row and the
-service spreads tiles, ``predict`` and ``land`` over its workers; nothing else differs between the
+service spreads tiles and ``predict`` over its workers; nothing else differs between the
 two. Candidates land before the merge too: charts of their neighbours pull outliers in, and the
 merge then spreads points that are where they seem to be.
 """

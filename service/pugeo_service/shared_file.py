@@ -7,13 +7,16 @@ turn of their event loops. On one machine the file that an answer goes to can be
 
 import os
 import secrets
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Self
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SharedFile"]
+__all__ = ["NOWHERE", "SharedFile", "shared_file"]
 
 _TOKEN = 16  # bytes at the start of the file that tell it from any other
 
@@ -30,13 +33,6 @@ class SharedFile:
 
     path: str
     token: bytes
-
-    @classmethod
-    def of(cls, descriptor: int) -> Self:
-        """Prepare an empty file, open in this process."""
-        token = secrets.token_bytes(_TOKEN)
-        os.pwrite(descriptor, token, 0)
-        return cls(f"/proc/{os.getpid()}/fd/{descriptor}", token)
 
     @property
     def start(self) -> int:
@@ -67,3 +63,26 @@ class SharedFile:
         finally:
             os.close(descriptor)
         return True
+
+
+NOWHERE = SharedFile("", b"")
+"""Of no file: whatever is to be put there is not."""
+
+
+def shared_file(folder: Path) -> tuple[IO[bytes], SharedFile]:
+    """Make a file without a name in a folder; what goes into it comes behind what is there now.
+
+    Raises:
+        OSError: the disk takes none.
+    """
+    file = TemporaryFile(dir=folder)  # noqa: SIM115
+    try:
+        token = secrets.token_bytes(_TOKEN)
+        # By the file and not by its number, which may be another's once this one is closed.
+        file.write(token)
+        file.flush()
+        return file, SharedFile(f"/proc/{os.getpid()}/fd/{file.fileno()}", token)
+    except BaseException:
+        with suppress(OSError):
+            file.close()
+        raise

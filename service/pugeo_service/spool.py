@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes on their way in or out: small ones in memory, large ones in an unnamed file."""
+"""Bytes on their way in or out, in memory or in an unnamed file."""
 
 import asyncio
 import os
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from types import TracebackType
-from typing import Self
+from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.shared_file import NOWHERE, SharedFile, shared_file
 
 __all__ = ["Sink", "Spool"]
 
@@ -66,7 +67,7 @@ class Sink(ABC):
 
 
 class Spool(Sink):
-    """A write-once, read-many buffer that keeps at most 1 MiB in memory.
+    """A write-once, read-many buffer: up to 1 MiB in memory, unless it is shared.
 
     The file has no name, so it vanishes with the process whatever happens. Once the bytes are
     on disk, every access runs in a thread: a slow disk must not stop the event loop.
@@ -74,12 +75,21 @@ class Spool(Sink):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+        self._folder = folder
+        self._file: IO[bytes] = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
         self._start = 0
 
     async def share(self) -> SharedFile:
-        """Let other processes write into the file, which has to be empty, see `take`."""
-        return await asyncio.to_thread(self._share)
+        """Let other processes write into a file, before anything is written here; see `take`.
+
+        A disk that has no room for one is no error yet: a small answer needs none.
+        """
+        sharing = asyncio.create_task(asyncio.to_thread(self._share))
+        try:
+            return await asyncio.shield(sharing)
+        finally:
+            # Whoever gives up closes the file next, which must be there by then.
+            await asyncio.wait({sharing})
 
     async def take(self, data: bytes | int) -> int:
         """Append bytes, or as many as another process has put behind the last; return how many."""
@@ -100,23 +110,32 @@ class Spool(Sink):
         """Yield all bytes in order, ``size`` at a time."""
         await self.flush()
         await asyncio.to_thread(self._file.seek, self._start)
-        while data := await asyncio.to_thread(self._file.read, size):
+        left = self.size
+        while data := await asyncio.to_thread(self._file.read, min(size, left)):
+            left -= len(data)
             yield data
 
     def close(self) -> None:
         """Give the memory and the disk back."""
         super().close()
-        self._file.close()
+        # What a full disk did not take is tried once more; nobody wants it any longer.
+        with suppress(OSError):
+            self._file.close()
 
     def _store(self, data: bytearray) -> None:
         self._file.write(data)
+        # To the disk, which may be full, and not to a buffer that is written out some time.
+        self._file.flush()
 
     def _share(self) -> SharedFile:
-        self._file.rollover()
-        shared = SharedFile.of(self._file.fileno())
-        self._start = self._file.seek(shared.start)
+        try:
+            file, shared = shared_file(self._folder)
+        except OSError:
+            return NOWHERE
+        self._file.close()
+        self._file, self._start = file, shared.start
         return shared
 
     def _read_all(self) -> NDArray[np.uint8]:
         self._file.seek(self._start)
-        return np.frombuffer(self._file.read(), np.uint8)
+        return np.frombuffer(self._file.read(self.size), np.uint8)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The atlas: charts of all patches side by side, and the parcels of spots to land on them.
-
-Plain arrays only, so that parcels travel between processes.
-"""
+"""The atlas: charts of all patches side by side, and the parcels of spots to land on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pugeo_service.engine.dispatch import Dispatch
-from pugeo_service.engine.errors import disk
+from pugeo_service.engine.errors import EngineLost, disk
 from pugeo_service.engine.order import Sheet
 from pugeo_service.shared_file import SharedFile
 from pugeo_service.spool import Spool
@@ -28,12 +28,21 @@ class Collector:
     tasks: Dispatch
 
     async def collect(self, written: Any, sheet: Sheet) -> None:
-        """Append what was written, a chunk at a time: little is in memory whatever the size."""
+        """Append what was written, a chunk at a time: little is in memory whatever the size.
+
+        Raises:
+            EngineLost: it is no longer what was told of.
+            DiskFailed: there is no room for it.
+        """
         done = await self._take(sheet.first)
         while done < sheet.size:
             handle = self.tasks.submit("chunk", written, done, self.file, self.spool.size)
-            done += await self._take(await self.tasks.fetch(handle))
+            came = await self._take(await self.tasks.fetch(handle))
             self.tasks.drop([handle])
+            done += came
+            if not came or done > sheet.size:
+                # It was lost with its worker, and another made it anew, of another length.
+                raise EngineLost("a part of the answer changed while it was brought here")
 
     async def flush(self) -> None:
         """Find out that the disk has no room before the answer begins."""

@@ -24,7 +24,7 @@ Where = Callable[[], str | None]
 # A cloud that others overtake, and that got nothing done for so long, is helped along.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# Patches in one task, where they stay where they are: 0.2 s, which a small cloud waits at most.
+# Patches in one task, where they stay where they are: 0.2 s, which is what a small cloud waits.
 _PART = 3
 
 
@@ -116,7 +116,7 @@ class Dispatch:
             async with asyncio.timeout(_BACKGROUND_PATIENCE_S):
                 return await ask(self._priority(size))
         except TimeoutError:
-            # It takes no second once it runs, so it did not.
+            # It takes about a second once it runs, so it hardly did; and may run twice.
             return await ask(Lanes.FIRST)
 
     async def predict(

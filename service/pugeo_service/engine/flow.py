@@ -63,10 +63,8 @@ class Flow:
         with disk():
             spool = Spool(self._spool_dir)
         try:
-            with disk():
-                file = await spool.share()
             async with AsyncExitStack() as inside:
-                return await self._run(body, Collector(spool, file, self._tasks), inside)
+                return await self._run(body, spool, inside)
         except BaseException:
             spool.close()
             raise
@@ -74,7 +72,7 @@ class Flow:
             self._lanes.leave(self)
             self._tasks.cancel()
 
-    async def _run(self, body: Readable, answer: Collector, inside: AsyncExitStack) -> Outcome:
+    async def _run(self, body: Readable, spool: Spool, inside: AsyncExitStack) -> Outcome:
         order, tally, began = self._order, _Tally(), time.perf_counter()
 
         size = order.estimate(body.size, order.format)
@@ -86,6 +84,7 @@ class Flow:
         self._watcher.on_stage("prepare")
         with disk():
             data = await body.read()
+        answer = Collector(spool, await spool.share(), self._tasks)
         if self._tasks.everyone_is_busy and not order.background:
             order = replace(order, at_once_patches=LARGE_PATCHES - 1)
         prepared, head = await self._tasks.step(

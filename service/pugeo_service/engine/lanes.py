@@ -17,7 +17,7 @@ from types import TracebackType
 __all__ = ["LARGE_PATCHES", "Lanes", "Line"]
 
 LARGE_PATCHES = 8
-"""From here on preparing, merging and finishing take seconds."""
+"""From here on preparing a cloud and finishing it take seconds."""
 
 _LANE = 1e12  # seconds that no service lives
 _HANDICAP_S = 3.0

@@ -183,10 +183,12 @@ def finish_tile(prepared: Prepared, batches: Sequence[Charted], model: str) -> F
         model: name of the weights.
     """
     job, charts, clock = prepared.job, _charts(batches), _Clock()
-    proposed = clock("merge", pipeline.propose, job, charts)
-    candidates = clock("land", _landed, proposed, model)
-    merged = clock("merge", pipeline.merge, job, charts, candidates)
-    points = clock("land", _landed, merged, model)
+    spots = clock("merge", pipeline.propose, job, charts)
+    candidates = clock("land", _landed, spots, model)
+    spots = clock("merge", pipeline.merge, job, charts, candidates)
+    del candidates  # which are many
+    points = clock("land", _landed, spots, model)
+    del spots, charts
     piece = clock("finish", pipeline.finish, job, points)
     return Finished(piece, clock.seconds, _sizes(batches))
 

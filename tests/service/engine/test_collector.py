@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.service.engine.recorder import Handle, Recorder, run
 
-from pugeo_service.engine.errors import DiskFailed
+from pugeo_service.engine.errors import DiskFailed, EngineLost
 from pugeo_service.shared_file import SharedFile
 from pugeo_service.spool import Spool
 
@@ -55,6 +55,20 @@ def test_workers_of_this_machine_write_the_answer(tmp_path: Path, by_rows: bool)
     outcome, data = run(pool, tmp_path)
     assert data == (5 if by_rows else 1) * b"012"
     assert outcome.spool.size == len(data)
+
+
+@pytest.mark.parametrize("again", [b"", b"longer than it was"])
+def test_a_part_that_changed(tmp_path: Path, again: bytes) -> None:
+    """It was lost with its worker; another, of another kind, wrote other numbers."""
+
+    class Changed(Recorder):
+        def chunk(self, start: int, _file: SharedFile, _offset: int) -> bytes | int:
+            return again if start else b""
+
+    pool = Changed(3)
+    with pytest.raises(EngineLost, match="changed"):
+        run(pool, tmp_path)
+    assert not any(handle.live for handle in pool.handles)
 
 
 def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,7 @@ from pugeo_service.engine import (
 )
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.shared_file import NOWHERE, SharedFile
 from pugeo_service.spool import Spool
 
 pytestmark = pytest.mark.slow
@@ -113,14 +113,14 @@ def test_the_answer_comes_by_file_or_by_connection(
 ) -> None:
     """A worker elsewhere cannot reach the front's file; the bytes are the same."""
     took: list[bool] = []
-    take, of = Spool.take, SharedFile.of
+    take = Spool.take
 
     async def watched(spool: Spool, data: bytes | int) -> int:
         took.append(isinstance(data, int))
         return await take(spool, data)
 
-    def elsewhere(descriptor: int) -> SharedFile:
-        return dataclasses.replace(of(descriptor), path="/nowhere")
+    async def elsewhere(_spool: Spool) -> SharedFile:
+        return NOWHERE
 
     monkeypatch.setattr(Spool, "take", watched)
     answers = []
@@ -129,7 +129,7 @@ def test_the_answer_comes_by_file_or_by_connection(
         took.clear()
         for here in (True, False):
             if not here:
-                monkeypatch.setattr(SharedFile, "of", elsewhere)
+                monkeypatch.setattr(Spool, "share", elsewhere)
             outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)
             with outcome.spool as spool:
                 answers.append((await spool.read()).tobytes())
