@@ -6,10 +6,10 @@
         job        = prepare(tile)
         charts     = [predict(model, patch, job.candidates) for patch in job.patches]
         if noisy(job):                            # once more, from where its points belong
-            job    = denoise(job, [land(model, parcel) for parcel in own_spots(job, charts)])
+            job    = denoise(job, land(model, own_spots(job, charts)))
             charts = [predict(model, patch, job.candidates) for patch in job.patches]
-        candidates = [land(model, parcel) for parcel in propose(job, charts)]
-        points     = [land(model, parcel) for parcel in merge(job, charts, candidates)]
+        candidates = land(model, propose(job, charts))
+        points     = land(model, merge(job, charts, candidates))
         piece      = finish(job, points)
     result     = assemble(plan, pieces)
 
@@ -46,11 +46,10 @@ from pugeo_model.merge.atlas import (
     Landing,
     PatchCharts,
     bind,
-    parcels,
     screened,
 )
 from pugeo_model.merge.elimination import reach_of_share
-from pugeo_model.merge.placement import even_out, place
+from pugeo_model.merge.placement import even_out, nearest_charts, place
 from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
 from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
@@ -179,19 +178,17 @@ def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
     return model.charts(patch, candidates)
 
 
-def own_spots(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
-    """The input's points, in parcels with the charts they land on."""
-    rows = np.arange(len(job.points), dtype=np.int32)
-    return _parcels(job, bind(charts), job.points, rows)
+def own_spots(job: Job, charts: Sequence[PatchCharts]) -> Landing:
+    """The input's points, with the charts they land on."""
+    return _landing(job, bind(job.points, job.frames, charts), job.points, _rows(job))
 
 
-def denoise(job: Job, landed: Sequence[Landed]) -> Job:
+def denoise(job: Job, own: Landed) -> Job:
     """Prepare a noisy input anew, from where its points landed.
 
     Neighbours, frames and quadrics of points near the surface say more than those of noisy ones.
     What hardly moves is detail and no noise: its job stays as it is, and so do its charts.
     """
-    own = Landed.join(landed)
     if _exact(job, own):
         return job
     points = np.empty_like(job.points)
@@ -206,41 +203,37 @@ def denoise(job: Job, landed: Sequence[Landed]) -> Job:
     return replace(again, share=share, noise=job.noise, denoised=True)
 
 
-def propose(job: Job, charts: Sequence[PatchCharts]) -> list[Landing]:
-    """The candidates of all charts, in parcels with the charts they land on.
+def propose(job: Job, charts: Sequence[PatchCharts]) -> Landing:
+    """The candidates of all charts, with the charts they land on.
 
-    A parcel is led by the input points of its patch: where they land tells what they are worth.
+    The input's points lead: where they land tells what they are worth.
     """
+    rows, atlas = _rows(job), bind(job.points, job.frames, charts)
     if job.nothing_new:
-        return []
-    atlas = bind(charts)
-    rows = np.arange(len(job.points), dtype=np.int32)
+        return _landing(job, atlas, job.points[:0], rows[:0])
     spots = (job.points[:, None] + atlas.candidates).reshape(-1, 3)
-    return _parcels(
+    return _landing(
         job,
         atlas,
         np.concatenate([job.points, spots]),
         np.concatenate([rows, np.repeat(rows, job.candidates)]),
-        screened(job.candidates),
+        blended=screened(job.candidates),
     )
 
 
 def land(model: "Model", landing: Landing) -> Landed:
-    """The network's heads: put spots on their charts, give them normals. Runs on workers."""
+    """The network's heads: put spots on their charts, give them normals."""
     return model.land(landing)
 
 
-def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed]) -> list[Landing]:
-    """Decide where the output points go; parcels of them, with the charts they land on."""
-    atlas = bind(charts)
+def merge(job: Job, charts: Sequence[PatchCharts], candidates: Landed) -> Landing:
+    """Decide where the output points go; those of the input that stay lead."""
+    atlas = bind(job.points, job.frames, charts)
     if job.nothing_new:
         rows = np.flatnonzero(job.core).astype(np.int32)
-        return _parcels(job, atlas, job.points[rows], rows, fixed=True)
-    leads = [patch.core for patch in job.patches]
-    own = Landed.join([part.take(slice(0, n)) for part, n in zip(candidates, leads, strict=True)])
-    new = Landed.join(
-        [part.take(slice(n, None)) for part, n in zip(candidates, leads, strict=True)]
-    )
+        return _landing(job, atlas, job.points[rows], rows, fixed=len(rows))
+    own = candidates.take(slice(0, len(job.points)))
+    new = candidates.take(slice(len(job.points), None))
     pinned = None
     if job.tile.keeps_input or (_exact(job, own) and not job.denoised):
         pinned = job.points, own.normals
@@ -257,8 +250,8 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Sequence[Landed])
         job.core,
         all_stay=job.tile.keeps_input,
     )
-    own_parcels = _parcels(job, atlas, job.points[stay], stay, fixed=True) if len(stay) else []
-    return own_parcels + _parcels(job, atlas, spots, owner)
+    spots, owner = np.concatenate([job.points[stay], spots]), np.concatenate([stay, owner])
+    return _landing(job, atlas, spots, owner, fixed=len(stay))
 
 
 def _exact(job: Job, own: Landed) -> bool:
@@ -267,27 +260,28 @@ def _exact(job: Job, own: Landed) -> bool:
     return bool(np.median(moved) < _EXACT)
 
 
-def _parcels(
+def _rows(job: Job) -> NDArray[np.int32]:
+    return np.arange(len(job.points), dtype=np.int32)
+
+
+def _landing(
     job: Job,
     atlas: Atlas,
     spots: NDArray[np.float64],
     owner: NDArray[np.int32],
-    blended: int = BLENDED,
     *,
-    fixed: bool = False,
-) -> list[Landing]:
-    ends = np.cumsum([patch.core for patch in job.patches])[:-1]
-    return parcels(
-        atlas, spots, owner, job.points, job.neighbours, job.frames, ends, blended, fixed=fixed
-    )
+    blended: int = BLENDED,
+    fixed: int = 0,
+) -> Landing:
+    near = nearest_charts(spots, owner, job.points, job.neighbours, blended)
+    return Landing(atlas, spots, near, fixed)
 
 
-def finish(job: Job, points: Sequence[Landed]) -> Piece:
+def finish(job: Job, landed: Landed) -> Piece:
     """Give normals their signs, carry colours and scalars over, put offset and scale back."""
-    landed = Landed.join(points)
     tile, cloud = job.tile, job.cloud
     if tile.keeps_input:
-        # The input's points lead; they landed in the order of the patches.
+        # The input's points lead, in the order of the patches.
         own = np.argsort(job.order[job.core])
         landed = landed.take(np.append(own, np.arange(tile.core, tile.n_out)))
     elif job.denoised:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole way of a cloud in one process."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.patches import Patch
 from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
 from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
+    Job,
     Piece,
     Plan,
     Result,
@@ -97,30 +97,29 @@ class Upsampler:
         return result
 
     def _piece(self, tile: Tile, tell: Callable[..., None]) -> Piece:
-        def spread(stage: str, parts: Sequence[Any], work: Callable[[Any], Any]) -> list[Any]:
-            done: list[Any] = []
-            for part in parts:
-                tell(stage, len(done) / len(parts))
-                done.append(work(part))
+        def charted(job: Job) -> list[PatchCharts]:
+            done: list[PatchCharts] = []
+            for patch in job.patches:
+                tell("network", len(done) / len(job.patches))
+                done.append(predict(self.model, patch, job.candidates))
             return done
 
-        def chart(patch: Patch) -> PatchCharts:
-            return predict(self.model, patch, job.candidates)
-
-        def put(landing: Landing) -> Landed:
+        def landed(landing: Landing) -> Landed:
+            tell("land")
             return land(self.model, landing)
 
         tell("prepare")
         job = prepare(tile)
-        charts = spread("network", job.patches, chart)
+        charts = charted(job)
         if noisy(job):
-            again = denoise(job, spread("denoise", own_spots(job, charts), put))
+            tell("denoise")
+            again = denoise(job, land(self.model, own_spots(job, charts)))
             if again is not job:
                 job = again
-                charts = spread("network", job.patches, chart)
+                charts = charted(job)
         tell("propose")
-        candidates = spread("land", propose(job, charts), put)
+        candidates = landed(propose(job, charts))
         tell("merge")
-        points = spread("land", merge(job, charts, candidates), put)
+        points = landed(merge(job, charts, candidates))
         tell("finish")
         return finish(job, points)

@@ -96,7 +96,7 @@ def test_n_points_instead_of_ratio(upsampler, sphere):
 
 
 def test_order_of_work_does_not_matter(upsampler, sphere):
-    """Patches predicted and landed in any order, by anyone, give the same bytes."""
+    """Patches predicted in any order, by anyone, give the same bytes."""
     points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
     plan = survey(Cloud(points), Options(4.0))
     job = prepare(plan.tile(0))
@@ -105,9 +105,8 @@ def test_order_of_work_does_not_matter(upsampler, sphere):
     results = []
     for turn in (1, -1):
         charts = [predict(model, patch, job.candidates) for patch in job.patches[::turn]]
-        landed = [land(model, part) for part in propose(job, charts)[::turn]][::turn]
-        parts = merge(job, charts, landed)
-        piece = finish(job, [land(model, part) for part in parts[::turn]][::turn])
+        candidates = land(model, propose(job, charts))
+        piece = finish(job, land(model, merge(job, charts, candidates)))
         results.append(assemble(plan, [piece]))
     one, two = results
     assert one.cloud.points.tobytes() == two.cloud.points.tobytes()
@@ -257,8 +256,7 @@ def test_a_noisy_input_is_denoised_first(upsampler, sphere):
         assert noisy(job) is moves
         if moves:
             charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            spots = own_spots(job, charts)
-            again = denoise(job, [land(upsampler.model, spot) for spot in spots])
+            again = denoise(job, land(upsampler.model, own_spots(job, charts)))
             placed = [tile.placement.world(each.points) for each in (job, again)]
             off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in placed]
             assert off[1] < 0.7 * off[0]
@@ -273,6 +271,6 @@ def test_detail_is_not_taken_for_noise(upsampler):
     (tile,) = survey(Cloud(folds), Options(4.0)).tiles
     job = prepare(tile)
     charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-    again = denoise(job, [land(upsampler.model, spot) for spot in own_spots(job, charts)])
+    again = denoise(job, land(upsampler.model, own_spots(job, charts)))
     assert noisy(job)
     assert again is job

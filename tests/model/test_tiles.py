@@ -107,8 +107,7 @@ def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
         assert noisy(job) is (scale > 0)
         if noisy(job):
             charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            spots = own_spots(job, charts)
-            job = denoise(job, [land(upsampler.model, spot) for spot in spots])
+            job = denoise(job, land(upsampler.model, own_spots(job, charts)))
             assert job.denoised
         share = job.share[job.core]
         assert share.std() < 0.004 * share.mean()

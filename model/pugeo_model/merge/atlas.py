@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The atlas: charts of all patches side by side, and the parcels of spots to land on them."""
+"""The atlas: charts of all patches side by side, and spots to land on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
-from pugeo_model.merge.crowd import by_chart
-from pugeo_model.merge.placement import nearest_charts
 
-__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "parcels", "screened"]
+__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "screened"]
 
 BLENDED = 3
 """Charts that every point lands on."""
@@ -43,8 +40,16 @@ class PatchCharts:
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """Charts of the whole cloud, rows as the cloud's; fields as in :class:`PatchCharts`."""
+    """Charts of the whole cloud, rows as the cloud's.
 
+    Attributes:
+        points: ``(M, 3)`` float64, unit scale.
+        frames: of the points.
+        candidates, T, code, lift: as in :class:`PatchCharts`.
+    """
+
+    points: NDArray[np.float64]
+    frames: Frames
     candidates: NDArray[np.float32]
     T: NDArray[np.float32]
     code: NDArray[np.float16]
@@ -53,27 +58,19 @@ class Atlas:
 
 @dataclass(frozen=True, eq=False)
 class Landing:
-    """Spots to be landed, with the charts they need.
+    """Spots to be landed.
 
     Attributes:
+        atlas: the charts.
         spots: ``(m, 3)`` float64, unit scale.
-        charts: ``(m, k)`` int32 rows of the arrays below, nearest first.
-        points: ``(n, 3)`` float64; the rest as in :class:`PatchCharts` and ``Frames``.
-        nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
-        fixed: the spots stay where they are and only get normals.
+        charts: ``(m, k)`` int32 rows of the atlas, nearest first.
+        fixed: so many of the first spots stay where they are and only get normals.
     """
 
+    atlas: Atlas
     spots: NDArray[np.float64]
     charts: NDArray[np.int32]
-    points: NDArray[np.float64]
-    axes: NDArray[np.float32]
-    spacing: NDArray[np.float32]
-    quadric: NDArray[np.float32]
-    T: NDArray[np.float32]
-    code: NDArray[np.float16]
-    lift: NDArray[np.float32]
-    nearest: NDArray[np.int32]
-    fixed: bool
+    fixed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,25 +93,23 @@ class Landed:
         """The points of the given rows, in that order."""
         return Landed(self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows])
 
-    @classmethod
-    def join(cls, parts: "Sequence[Landed]") -> "Landed":
-        """All parts as one, in their order."""
-        return cls(
-            np.concatenate([part.points for part in parts]),
-            np.concatenate([part.normals for part in parts]),
-            np.concatenate([part.error for part in parts]),
-            np.concatenate([part.nearest for part in parts]),
-        )
 
+def bind(points: NDArray[np.float64], frames: Frames, charts: Sequence[PatchCharts]) -> Atlas:
+    """Put the charts of all patches side by side, whatever order they come in.
 
-def bind(charts: Sequence[PatchCharts]) -> Atlas:
-    """Put the charts of all patches into the rows of the cloud, whatever order they come in."""
-    back = np.argsort(np.concatenate([part.rows for part in charts]))
+    Args:
+        points: ``(M, 3)`` float64.
+        frames: of the ``M`` points.
+        charts: of all patches; the rows of each follow those of another.
+    """
+    parts = sorted(charts, key=lambda part: int(part.rows[0]))
     return Atlas(
-        np.concatenate([part.candidates for part in charts])[back],
-        np.concatenate([part.T for part in charts])[back],
-        np.concatenate([part.code for part in charts])[back],
-        np.concatenate([part.lift for part in charts])[back],
+        points,
+        frames,
+        np.concatenate([part.candidates for part in parts]),
+        np.concatenate([part.T for part in parts]),
+        np.concatenate([part.code for part in parts]),
+        np.concatenate([part.lift for part in parts]),
     )
 
 
@@ -125,73 +120,3 @@ def screened(candidates: int) -> int:
         candidates: of each chart. Where they are many, those between charts matter less.
     """
     return 2 if candidates < _MANY else 1
-
-
-def parcels(
-    atlas: Atlas,
-    spots: NDArray[np.float64],
-    owner: NDArray[np.int32],
-    points: NDArray[np.float64],
-    neighbours: NDArray[np.int32],
-    frames: Frames,
-    ends: NDArray[np.int64],
-    blended: int = BLENDED,
-    *,
-    fixed: bool = False,
-) -> list[Landing]:
-    """Spots with the charts nearest to each, one parcel a patch.
-
-    Args:
-        atlas: the charts.
-        spots: ``(K, 3)`` float64.
-        owner: ``(K,)`` int32 chart that each spot came from.
-        points: ``(M, 3)`` float64.
-        neighbours: ``(M, k)`` int32.
-        frames: of the ``M`` points.
-        ends: ``(patches - 1,)`` first rows of all patches but the first.
-        blended: charts a spot lands on.
-        fixed: the spots stay where they are.
-    """
-    near = nearest_charts(spots, owner, points, neighbours, blended)
-    patch = np.searchsorted(ends, np.arange(len(points)), side="right").astype(np.int32)
-    start, order = by_chart(patch[owner], len(ends) + 1)
-    found = []
-    place = np.full(len(points), -1, dtype=np.int32)
-    for part in np.split(order, start[1:-1]):
-        used, local = _renumber(near[part], place)
-        found.append(
-            Landing(
-                spots=spots[part],
-                charts=local,
-                points=points[used],
-                axes=frames.axes[used],
-                spacing=frames.spacing[used],
-                quadric=frames.quadric[used],
-                T=atlas.T[used],
-                code=atlas.code[used],
-                lift=atlas.lift[used],
-                nearest=near[part, 0],
-                fixed=fixed,
-            )
-        )
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _renumber(rows, place):  # type: ignore[no-untyped-def]
-    """Rows in the order they first occur, and each row's number; ``place`` is -1 all over."""
-    used = np.empty(rows.size, dtype=np.int32)
-    local = np.empty_like(rows)
-    count = 0
-    for i in range(rows.shape[0]):
-        for j in range(rows.shape[1]):
-            row = rows[i, j]
-            if place[row] < 0:
-                place[row] = count
-                used[count] = row
-                count += 1
-            local[i, j] = place[row]
-    used = used[:count].copy()
-    for row in used:
-        place[row] = -1
-    return used, local

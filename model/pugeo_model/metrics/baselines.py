@@ -105,7 +105,7 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     charts = _jets(job)
     rows = np.arange(len(job.points), dtype=np.int32)
     _, normals = charts.lift(rows, np.zeros((len(rows), 2)))
-    sparse = assemble(plan, [finish(job, [_landed(job.points, normals, rows)])]).cloud
+    sparse = assemble(plan, [finish(job, _landed(job.points, normals, rows))]).cloud
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
     wanted = Options(ratio).points_out(len(sparse))
@@ -146,7 +146,7 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[Job], _Charts]) -> Clo
         job.neighbours,
         seed=0,
     )
-    return assemble(plan, [finish(job, [charts.land(spots, owner, job.neighbours)])]).cloud
+    return assemble(plan, [finish(job, charts.land(spots, owner, job.neighbours))]).cloud
 
 
 def _planes(job: Job) -> _Charts:

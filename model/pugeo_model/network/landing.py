@@ -58,9 +58,9 @@ class Lander:
         step = np.empty((count, 3))
         normals = np.empty((count, 3), dtype=np.float32)
         log_error = np.empty(count, dtype=np.float32)
-        # Copied first: what comes from another process may be read-only, and torch warns of that.
-        codes = torch.from_numpy(landing.code.copy()).float().numpy()
-        sheets = _sheets(landing.axes, landing.spacing, landing.quadric, landing.T, landing.lift)
+        atlas, frames = landing.atlas, landing.atlas.frames
+        codes = torch.from_numpy(atlas.code).float().numpy()
+        sheets = _sheets(frames.axes, frames.spacing, frames.quadric, atlas.T, atlas.lift)
         block = _ROWS // charts
         # Bits of bfloat16, which numpy and numba do not know.
         first = np.zeros((_ROWS, codes.shape[1]), dtype=np.int16)
@@ -70,7 +70,7 @@ class Lander:
         for start in range(0, count, block):
             part = slice(start, min(start + block, count))
             rows = landing.charts[part].ravel()
-            _place(landing.spots[part], rows, landing.points, sheets, terms, offsets)
+            _place(landing.spots[part], rows, atlas.points, sheets, terms, offsets)
             _enter(rows, codes, terms, self.terms, first)
             # Rows that are left over from the last pass cost less than a product compiled anew.
             seen = ready[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
@@ -99,8 +99,8 @@ def settle(landing: Landing, step: NDArray[np.float64], furthest: float) -> NDAr
         furthest: distance from that point at most, in its spacings.
     """
     settled = np.empty_like(step)
-    home = landing.charts[:, 0]
-    _settle(landing.spots, step, home, landing.points, landing.spacing, furthest, settled)
+    home, atlas = landing.charts[:, 0], landing.atlas
+    _settle(landing.spots, step, home, atlas.points, atlas.frames.spacing, furthest, settled)
     return settled
 
 

@@ -63,11 +63,7 @@ class Model:
     def land(self, landing: Landing) -> Landed:
         """Put every spot on the blend of its charts."""
         step, normals, log_error = self._lander(landing)
-        fixed = landing.fixed
-        spots = landing.spots if fixed else settle(landing, step, _FURTHEST)
-        return Landed(
-            spots,
-            normals,
-            np.exp(np.minimum(log_error, 0.0)),
-            landing.nearest,
-        )
+        points = settle(landing, step, _FURTHEST)
+        points[: landing.fixed] = landing.spots[: landing.fixed]
+        nearest = landing.charts[:, 0].copy()
+        return Landed(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)

@@ -164,7 +164,7 @@ def denoise(prepared: Prepared, batches: Sequence[Charted], model: str) -> Prepa
     """
     start = time.perf_counter()
     spots = pipeline.own_spots(prepared.job, _charts(batches))
-    job = pipeline.denoise(prepared.job, _landed(spots, model))
+    job = pipeline.denoise(prepared.job, pipeline.land(load_model(model), spots))
     gone = _sizes(batches) if job is not prepared.job else []
     return replace(
         prepared, job=job, seconds={"prepare": time.perf_counter() - start}, batches=gone
@@ -183,11 +183,12 @@ def finish_tile(prepared: Prepared, batches: Sequence[Charted], model: str) -> F
         model: name of the weights.
     """
     job, charts, clock = prepared.job, _charts(batches), _Clock()
+    network = load_model(model)
     spots = clock("merge", pipeline.propose, job, charts)
-    candidates = clock("land", _landed, spots, model)
+    candidates = clock("land", pipeline.land, network, spots)
     spots = clock("merge", pipeline.merge, job, charts, candidates)
     del candidates  # which are many
-    points = clock("land", _landed, spots, model)
+    points = clock("land", pipeline.land, network, spots)
     del spots, charts
     piece = clock("finish", pipeline.finish, job, points)
     return Finished(piece, clock.seconds, _sizes(batches))
@@ -221,12 +222,6 @@ def _charts(batches: Sequence[Charted]) -> list[Any]:
 
 def _sizes(batches: Sequence[Charted]) -> list[tuple[float, int]]:
     return [(batch.seconds, len(batch.charts)) for batch in batches]
-
-
-def _landed(landings: Sequence[Any], model: str) -> list[Any]:
-    """Points on the surface, through the network's heads."""
-    network = load_model(model)
-    return [pipeline.land(network, landing) for landing in landings]
 
 
 def _check_output(cloud: Cloud, options: Options, limit: int) -> None:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from pugeo_model.merge.atlas import Landing
+from pugeo_model.geometry.frames import Frames
+from pugeo_model.merge.atlas import Atlas, Landing
 from pugeo_model.network import landing
 from pugeo_model.network.blend import blend
 from pugeo_model.network.heads import Surface
@@ -22,54 +23,58 @@ def rotations(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def parcel() -> Landing:
+def spots() -> Landing:
     """More spots than one pass takes, on charts of all sizes and directions."""
     rng = np.random.default_rng(0)
     points = 100.0 + rng.normal(size=(CHARTS, 3))
     charts = rng.integers(CHARTS, size=(SPOTS, 3)).astype(np.int32)
     spacing = rng.uniform(0.1, 0.3, CHARTS).astype(np.float32)
     home = charts[:, 0]
-    spots = points[home] + rng.normal(size=(SPOTS, 3)) * spacing[home, None]
-    return Landing(
-        spots=spots,
-        charts=charts,
-        points=points,
+    places = points[home] + rng.normal(size=(SPOTS, 3)) * spacing[home, None]
+    frames = Frames(
         axes=rotations(rng),
         spacing=spacing,
         quadric=rng.normal(scale=0.2, size=(CHARTS, 6)).astype(np.float32),
+        residual=np.zeros(CHARTS, dtype=np.float32),
+        noise=0.0,
+    )
+    atlas = Atlas(
+        points=points,
+        frames=frames,
+        candidates=np.empty((CHARTS, 0, 3), dtype=np.float32),
         T=rotations(rng),
         code=rng.normal(size=(CHARTS, WIDTH)).astype(np.float16),
         lift=rng.normal(scale=0.1, size=CHARTS).astype(np.float32),
-        nearest=home,
-        fixed=False,
     )
+    return Landing(atlas, places, charts)
 
 
-def test_the_compiled_landing_follows_the_rule(parcel: Landing) -> None:
+def test_the_compiled_landing_follows_the_rule(spots: Landing) -> None:
     """Steps, normals and expected errors are those of ``blend``, up to bfloat16."""
     torch.manual_seed(0)
     surface = Surface(16, WIDTH, 64)
     with torch.no_grad():
         surface.out.weight.mul_(30.0)
-    rows = torch.from_numpy(parcel.charts.astype(np.int64))
+    atlas, frames = spots.atlas, spots.atlas.frames
+    rows = torch.from_numpy(spots.charts.astype(np.int64))
     flat = rows.flatten()
     charts = Charts(
-        torch.from_numpy(parcel.T)[flat],
-        torch.from_numpy(parcel.code).float()[flat],
-        torch.from_numpy(parcel.lift)[flat],
-        torch.from_numpy(parcel.quadric)[flat],
+        torch.from_numpy(atlas.T)[flat],
+        torch.from_numpy(atlas.code).float()[flat],
+        torch.from_numpy(atlas.lift)[flat],
+        torch.from_numpy(frames.quadric)[flat],
     )
-    offsets = (parcel.spots[:, None] - parcel.points[parcel.charts]).astype(np.float32)
-    spacing = torch.from_numpy(parcel.spacing)[rows]
+    offsets = (spots.spots[:, None] - atlas.points[spots.charts]).astype(np.float32)
+    spacing = torch.from_numpy(frames.spacing)[rows]
     with torch.inference_mode(), wide_products():
         step, normals, log_error, _ = blend(
             surface,
             charts,
             torch.from_numpy(offsets),
-            torch.from_numpy(parcel.axes)[rows],
+            torch.from_numpy(frames.axes)[rows],
             spacing,
         )
-    found = Lander(surface)(parcel)
+    found = Lander(surface)(spots)
     # A chart six spacings away extrapolates: relative to how far the spot is moved at all.
     scale = 1.0 + step.norm(dim=1).numpy()
     assert np.quantile(np.abs(found[0] - step.numpy()).max(axis=1) / scale, 0.99) < 0.01
@@ -78,21 +83,21 @@ def test_the_compiled_landing_follows_the_rule(parcel: Landing) -> None:
     assert np.allclose(np.linalg.norm(found[1], axis=1), 1.0, atol=1e-5)
 
 
-def test_a_landing_repeats_to_the_bit(parcel: Landing) -> None:
-    """The same parcel gives the same bytes, whatever the buffers held before."""
+def test_a_landing_repeats_to_the_bit(spots: Landing) -> None:
+    """The same spots give the same bytes, whatever the buffers held before."""
     lander = Lander(Surface(16, WIDTH, 64))
-    once, twice = lander(parcel), lander(parcel)
+    once, twice = lander(spots), lander(spots)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))
 
 
 def test_a_processor_without_bfloat16_lands_alike(
-    parcel: Landing, monkeypatch: pytest.MonkeyPatch
+    spots: Landing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the wide layer is multiplied in float32, points come to lie where they would."""
     surface = Surface(16, WIDTH, 64)
     landed = []
     for pays in (True, False):
         monkeypatch.setattr(landing, "bfloat16_pays", lambda pays=pays: pays)
-        landed.append(Lander(surface)(parcel))
+        landed.append(Lander(surface)(spots))
     for one, other in zip(*landed, strict=True):
         np.testing.assert_allclose(one, other, atol=0.01)

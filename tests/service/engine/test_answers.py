@@ -31,9 +31,8 @@ def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[Finished]]:
     for tile in plan.tiles:
         job = pipeline.prepare(tile)
         charts = [pipeline.predict(model, patch, job.candidates) for patch in job.patches]
-        landed = [pipeline.land(model, each) for each in pipeline.propose(job, charts)]
-        merged = pipeline.merge(job, charts, landed)
-        points = [pipeline.land(model, each) for each in merged]
+        landed = pipeline.land(model, pipeline.propose(job, charts))
+        points = pipeline.land(model, pipeline.merge(job, charts, landed))
         found.append(Finished(pipeline.finish(job, points), {}, []))
     assert len(found) > 2
     return Prepared(plan, None, {}), found
