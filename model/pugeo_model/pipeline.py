@@ -113,6 +113,9 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
             limit=[count, int(MOST) * count],
         )
     cuts, noise, typical = cut_tiles(points, n_out, tile_size)
+    if noise is not None and noise > _NOISY:
+        # All points are to land, since others will lean on where they do.
+        cuts = [replace(cut, charted=len(cut.rows)) for cut in cuts]
     given = cleaned.normals is not None
     method = method_of(options.orient, options.viewpoint, has_normals=given)
     report = {
@@ -144,8 +147,8 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
 def prepare(tile: Tile) -> Job:
     """Find neighbours and frames, cut patches."""
     # Rows in the order of the chunks: a patch's core is then a slice of every array to come.
-    parts = chunks(tile.points, PATCH_SIZE)
-    order = np.concatenate(parts)
+    parts = chunks(tile.points[: tile.charted], PATCH_SIZE)
+    order = np.concatenate([*parts, np.arange(tile.charted, len(tile.points), dtype=np.int32)])
     points = tile.points[order]
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
@@ -180,7 +183,8 @@ def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
 
 def own_spots(job: Job, charts: Sequence[PatchCharts]) -> Landing:
     """The input's points, with the charts they land on."""
-    return _landing(job, bind(job.points, job.frames, charts), job.points, _rows(job))
+    atlas = bind(job.points, job.frames, charts)
+    return _landing(job, atlas, job.points[: job.tile.charted], _rows(job))
 
 
 def denoise(job: Job, own: Landed) -> Job:
@@ -211,11 +215,12 @@ def propose(job: Job, charts: Sequence[PatchCharts]) -> Landing:
     rows, atlas = _rows(job), bind(job.points, job.frames, charts)
     if job.nothing_new:
         return _landing(job, atlas, job.points[:0], rows[:0])
-    spots = (job.points[:, None] + atlas.candidates).reshape(-1, 3)
+    points = job.points[: job.tile.charted]
+    spots = (points[:, None] + atlas.candidates).reshape(-1, 3)
     return _landing(
         job,
         atlas,
-        np.concatenate([job.points, spots]),
+        np.concatenate([points, spots]),
         np.concatenate([rows, np.repeat(rows, job.candidates)]),
         blended=screened(job.candidates),
     )
@@ -232,11 +237,11 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Landed) -> Landin
     if job.nothing_new:
         rows = np.flatnonzero(job.core).astype(np.int32)
         return _landing(job, atlas, job.points[rows], rows, fixed=len(rows))
-    own = candidates.take(slice(0, len(job.points)))
-    new = candidates.take(slice(len(job.points), None))
+    own = candidates.take(slice(0, job.tile.charted))
+    new = candidates.take(slice(job.tile.charted, None))
     pinned = None
     if job.tile.keeps_input or (_exact(job, own) and not job.denoised):
-        pinned = job.points, own.normals
+        pinned = job.points[: job.tile.charted], own.normals
     stay, spots, owner = place(
         new.points,
         new.normals,
@@ -248,6 +253,7 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Landed) -> Landin
         job.tile.seed,
         pinned,
         job.core,
+        job.tile.charted,
         all_stay=job.tile.keeps_input,
     )
     spots, owner = np.concatenate([job.points[stay], spots]), np.concatenate([stay, owner])
@@ -256,12 +262,13 @@ def merge(job: Job, charts: Sequence[PatchCharts], candidates: Landed) -> Landin
 
 def _exact(job: Job, own: Landed) -> bool:
     """Whether the input's points were on the surface, by how little they move when they land."""
-    moved = np.linalg.norm(own.points - job.points, axis=1) / job.frames.spacing
+    count = len(own.points)
+    moved = np.linalg.norm(own.points - job.points[:count], axis=1) / job.frames.spacing[:count]
     return bool(np.median(moved) < _EXACT)
 
 
 def _rows(job: Job) -> NDArray[np.int32]:
-    return np.arange(len(job.points), dtype=np.int32)
+    return np.arange(job.tile.charted, dtype=np.int32)
 
 
 def _landing(

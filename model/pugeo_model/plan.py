@@ -82,6 +82,7 @@ class Plan:
             points=self.points if whole else self.points[cut.rows],
             rows=cut.rows,
             core=cut.core,
+            charted=cut.charted,
             n_out=cut.n_out,
             candidates=max(_FEWEST_CANDIDATES, wanted),
             keeps_input=self.keeps_input,
@@ -108,7 +109,7 @@ class Job:
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one a point.
         share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.shares`.
-        patches: the units of work; their cores partition the points.
+        patches: the units of work; their cores partition the points that get charts.
         noise: of the input as it came, see `noise_level`.
         denoised: the points are where those of a noisy input landed.
     """

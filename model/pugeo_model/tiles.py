@@ -30,6 +30,9 @@ _WHOLE = 1.5
 # shapes in tiles of 1,250 points 4 to 8 make no difference. What even so comes too close to a point
 # of another tile is parted in the end, see `finish.seams`.
 _MARGIN = 6.5
+# In spacings: that far from the core points of the margin get charts and candidates. What is beyond
+# only lends its place and its features.
+_CHARTED = 3.0
 _SAMPLED = 2048  # points at which a tile's spacing is measured
 _SURVEYED = 8  # tiles in which the noise is measured
 
@@ -39,19 +42,21 @@ class Cut:
     """Which points make up a tile.
 
     Attributes:
-        rows: ``(n,)`` int32 rows of the cloud, the core's first.
+        rows: ``(n,)`` int32 rows of the cloud: the core's, then of the margin those next to it.
         core: how many are the core's.
+        charted: how many are the core's or next to it.
         n_out: points of the answer that the tile gives.
     """
 
     rows: NDArray[np.int32]
     core: int
+    charted: int
     n_out: int
 
     @property
     def patches(self) -> int:
-        """Patches that the tile will be cut into, its margin with it."""
-        return -(-len(self.rows) // PATCH_SIZE)
+        """Patches that the tile will be cut into."""
+        return -(-self.charted // PATCH_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +64,11 @@ class Tile:
     """Part of a cloud, ready to go its way.
 
     Attributes:
-        cloud: the input points, those of the core first.
+        cloud: the input points: those of the core, then those next to it.
         points: ``(n, 3)`` float64, in the unit scale of the whole cloud.
         rows: ``(n,)`` int32, rows in the cleaned cloud.
         core: how many lead that belong to no other tile.
+        charted: how many lead that get charts.
         n_out: points of the answer that the tile gives.
         candidates: candidates a chart.
         keeps_input: the points of the core come back themselves, and the rest is spread among them.
@@ -80,6 +86,7 @@ class Tile:
     points: NDArray[np.float64]
     rows: NDArray[np.int32]
     core: int
+    charted: int
     n_out: int
     candidates: int
     keeps_input: bool
@@ -110,12 +117,12 @@ def cut_tiles(
     if size is None:
         size = min(max(_POINTS_OUT * count // n_out, _FEWEST), _MOST)
     if count <= _WHOLE * size:
-        return [Cut(np.arange(count, dtype=np.int32), count, n_out)], None, None
+        return [Cut(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
     cores = chunks(points, size)
     margins = _margins(points, cores)
     ends = [n_out * at // count for at in np.cumsum([0] + [len(core) for core in cores]).tolist()]
     cuts = [
-        Cut(np.concatenate([core, margin]), len(core), stop - start)
+        Cut(np.concatenate([core, *margin]), len(core), len(core) + len(margin[0]), stop - start)
         for core, margin, (start, stop) in zip(
             cores, margins, itertools.pairwise(ends), strict=True
         )
@@ -125,14 +132,15 @@ def cut_tiles(
 
 def _margins(
     points: NDArray[np.float64], cores: list[NDArray[np.int32]]
-) -> list[NDArray[np.int32]]:
-    """Rows of the points within reach of each core."""
+) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
+    """Rows of the points next to each core, and of those beyond that are within its reach."""
     boxes = np.array([corners(points, core) for core in cores])
     low, high = boxes[:, 0], boxes[:, 1]
     found = []
     for tile, core in enumerate(cores):
         tree = cKDTree(points[core])
-        width = _MARGIN * _typical_spacing(tree)
+        typical = _typical_spacing(tree)
+        width = _MARGIN * typical
         # First whatever is in the widened box, of those tiles whose boxes it touches.
         reach_low, reach_high = low[tile] - width, high[tile] + width
         touched = ((low <= reach_high) & (high >= reach_low)).all(axis=1)
@@ -143,7 +151,8 @@ def _margins(
         ]
         boxed = np.concatenate(around)
         apart, _ = tree.query(points[boxed], distance_upper_bound=width)
-        found.append(boxed[np.isfinite(apart)])
+        near = apart < _CHARTED * typical
+        found.append((boxed[near], boxed[~near & np.isfinite(apart)]))
     return found
 
 

@@ -59,8 +59,11 @@ def test_cores_partition_the_cloud(ball):
     spacing = nearest(ball)[0][:, :8].mean()
     assert typical == pytest.approx(spacing, rel=0.03)
     for cut in cuts:
-        near = cKDTree(ball[cut.rows[: cut.core]]).query(ball)[0] < 6 * spacing
-        assert set(np.flatnonzero(near)) <= set(cut.rows)
+        apart = cKDTree(ball[cut.rows[: cut.core]]).query(ball)[0] / spacing
+        assert set(np.flatnonzero(apart < 6)) <= set(cut.rows)
+        # Those next to the core get charts, those beyond do not.
+        assert set(np.flatnonzero(apart < 2.8)) <= set(cut.rows[: cut.charted])
+        assert apart[cut.rows[: cut.charted]].max() < 3.3
         assert len(np.unique(cut.rows)) == len(cut.rows)
 
 
@@ -105,6 +108,10 @@ def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
     for tile in survey(Cloud(cloud), Options(4.0), SIZE).tiles:
         job = prepare(tile)
         assert noisy(job) is (scale > 0)
+        charted = sum(patch.core for patch in job.patches)
+        # Of a noisy cloud all points land, since others lean on where they do.
+        assert charted == tile.charted
+        assert (charted == len(job.points)) is noisy(job)
         if noisy(job):
             charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
             job = denoise(job, land(upsampler.model, own_spots(job, charts)))

@@ -42,6 +42,7 @@ def place(
     seed: int,
     pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
     core: NDArray[np.bool_] | None = None,
+    charted: int | None = None,
     *,
     all_stay: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
@@ -56,10 +57,12 @@ def place(
         share: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.shares`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
-        pinned: points ``(M, 3)`` and normals ``(M, 3)`` of the charts' own points, where these may
+        pinned: points ``(n, 3)`` and normals ``(n, 3)`` of the charts' own points, where these may
             be among the ``wanted`` and then stay where they are.
         core: ``(M,)`` charts whose points are wanted, ``None`` for all; the others are a margin
             that keeps the core's border even.
+        charted: of the ``M`` so many lead that have candidates, by default all: the others are only
+            there to be looked past.
         all_stay: all that are pinned are among the ``wanted``, even or not.
 
     Returns:
@@ -68,14 +71,15 @@ def place(
     """
     core = np.ones(len(share), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
+    there = np.arange(len(share)) < (len(share) if charted is None else charted)
     reach = reach_of_share(share * (np.count_nonzero(core) / wanted))
     usual = float(_USUAL * (wanted / np.count_nonzero(core)) ** _FINER)
     usual = min(max(usual, _LEAST), _MOST)
-    burden = _doubt(error.astype(np.float64), owner, near, usual)
+    burden = _doubt(error.astype(np.float64), owner, near, there, usual)
     burden += _CHANCE * _draw(candidates, seed)
     held = 0
     if pinned is not None:
-        held = len(near)
+        held = len(pinned[0])
         owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
@@ -84,7 +88,7 @@ def place(
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
         """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
         left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
-        density = averaged(left, neighbours, _LOCAL) / left[core].mean()
+        density = _around(left, there, neighbours, _LOCAL) / left[core].mean()
         weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** _LEVELLING
         return weight
 
@@ -162,8 +166,25 @@ def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     return drawn / 2.0**64
 
 
+def _around(
+    values: NDArray[np.float64],
+    there: NDArray[np.bool_],
+    neighbours: NDArray[np.int32],
+    times: int,
+) -> NDArray[np.float64]:
+    """Means over those neighbours that are ``there``, of means, and so on; see `averaged`."""
+    sums: NDArray[np.float64] = averaged(np.where(there, values, 0.0), neighbours, times)
+    if not there.all():
+        sums /= np.maximum(averaged(there.astype(np.float64), neighbours, times), 1e-12)
+    return sums
+
+
 def _doubt(
-    error: NDArray[np.float64], owner: NDArray[np.int32], near: NDArray[np.int32], usual: float
+    error: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    near: NDArray[np.int32],
+    there: NDArray[np.bool_],
+    usual: float,
 ) -> NDArray[np.float64]:
     """Burden of candidates that expect more than ``usual`` times the error usual around them.
 
@@ -173,7 +194,7 @@ def _doubt(
     """
     charts = len(near)
     count = np.maximum(np.bincount(owner, minlength=charts), 1)
-    around = averaged(np.bincount(owner, error, charts) / count, near, _WIDE)
+    around = _around(np.bincount(owner, error, charts) / count, there, near, _WIDE)
     excess = error / np.maximum(around[owner], 1e-12) - usual
     burden: NDArray[np.float64] = _DOUBT * np.maximum(excess, 0.0)
     return burden
