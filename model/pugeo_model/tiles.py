@@ -25,6 +25,7 @@ __all__ = ["Cut", "Tile", "cut_tiles"]
 _POINTS_OUT = 3 << 16  # of a tile's core: what a worker holds at one time
 _FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core
 # A cloud this much larger than a core stays in one piece: margins would cost more than they save.
+# Nor is one tile more made for a small rest.
 _WHOLE = 1.5
 # In spacings: that far the blend of charts, and their messages, reach in effect. On validation
 # shapes in tiles of 1,250 points 4 to 8 make no difference. What even so comes too close to a point
@@ -107,7 +108,7 @@ def cut_tiles(
     Args:
         points: ``(M, 3)``.
         n_out: points of the answer; each tile gives its share, and all together give them exactly.
-        size: input points of a core at most; by default as many as ``n_out`` allows.
+        size: input points of a core at most; by default about as many as ``n_out`` allows.
 
     Returns:
         The tiles, whose cores partition the cloud; and what one tile alone cannot know, the cloud's
@@ -116,6 +117,7 @@ def cut_tiles(
     count = len(points)
     if size is None:
         size = min(max(_POINTS_OUT * count // n_out, _FEWEST), _MOST)
+        size = max(size, -(-count // max(1, round(count / size))))
     if count <= _WHOLE * size:
         return [Cut(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
     cores = chunks(points, size)
