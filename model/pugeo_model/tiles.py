@@ -34,7 +34,8 @@ _MARGIN = 6.5
 # In spacings: that far from the core points of the margin get charts and candidates. What is beyond
 # only lends its place and its features.
 _CHARTED = 3.0
-_SAMPLED = 2048  # points at which a tile's spacing is measured
+_SAMPLED = 2048  # points at which a tile's noise is measured
+_SPACED = 512  # and the spacing by which its margin is wide
 _SURVEYED = 8  # tiles in which the noise is measured
 
 
@@ -140,7 +141,8 @@ def _margins(
     low, high = boxes[:, 0], boxes[:, 1]
     found = []
     for tile, core in enumerate(cores):
-        tree = cKDTree(points[core])
+        # Built in half the time, and no slower for so few questions.
+        tree = cKDTree(points[core], leafsize=32, balanced_tree=False, compact_nodes=False)
         typical = _typical_spacing(tree)
         width = _MARGIN * typical
         # First whatever is in the widened box, of those tiles whose boxes it touches.
@@ -160,7 +162,7 @@ def _margins(
 
 def _typical_spacing(tree: cKDTree) -> float:
     """A spacing that nine in ten points of a tree do not exceed."""
-    some = tree.data[:: max(1, tree.n // _SAMPLED)]
+    some = tree.data[:: max(1, tree.n // _SPACED)]
     distances, _ = knn(tree, some, SPACING_NEIGHBOURS + 1)
     return float(np.quantile(distances[:, 1:].mean(axis=1), 0.9))
 
