@@ -99,7 +99,8 @@ def settle(landing: Landing, step: NDArray[np.float64], furthest: float) -> NDAr
         furthest: distance from that point at most, in its spacings.
     """
     settled = np.empty_like(step)
-    home, atlas = landing.charts[:, 0], landing.atlas
+    # One layout, whatever the number of charts: each would be compiled for itself.
+    home, atlas = np.ascontiguousarray(landing.charts[:, 0]), landing.atlas
     _settle(landing.spots, step, home, atlas.points, atlas.frames.spacing, furthest, settled)
     return settled
 
