@@ -113,7 +113,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
             limit=[count, int(MOST) * count],
         )
     cuts, noise, typical = cut_tiles(points, n_out, tile_size)
-    if noise is not None and noise > _NOISY:
+    if noise is not None and noise > _NOISY and not (options.keep_input or n_out == count):
         # All points are to land, since others will lean on where they do.
         cuts = [replace(cut, charted=len(cut.rows)) for cut in cuts]
     given = cleaned.normals is not None
@@ -280,7 +280,7 @@ def _landing(
     blended: int = BLENDED,
     fixed: int = 0,
 ) -> Landing:
-    near = nearest_charts(spots, owner, job.points, job.neighbours, blended)
+    near = nearest_charts(spots, owner, job.points, job.neighbours, blended, job.tile.charted)
     return Landing(atlas, spots, near, fixed)
 
 

@@ -23,7 +23,7 @@ from pugeo_model.normalise import Placement
 __all__ = ["Cut", "Tile", "cut_tiles"]
 
 _POINTS_OUT = 3 << 16  # of a tile's core: what a worker holds at one time
-_FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core
+_FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core: a quarter more to save a tile
 # A cloud this much larger than a core stays in one piece: margins would cost more than they save.
 # Nor is one tile more made for a small rest.
 _WHOLE = 1.5

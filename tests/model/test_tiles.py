@@ -13,7 +13,16 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.shares import shares
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.pipeline import denoise, land, noisy, own_spots, predict, prepare, survey
+from pugeo_model.pipeline import (
+    denoise,
+    land,
+    noisy,
+    own_spots,
+    predict,
+    prepare,
+    propose,
+    survey,
+)
 from pugeo_model.tiles import cut_tiles
 from pugeo_model.training.corpus import poisson_disk
 from pugeo_model.upsampler import Upsampler
@@ -118,6 +127,32 @@ def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
             assert job.denoised
         share = job.share[job.core]
         assert share.std() < 0.004 * share.mean()
+
+
+def test_spots_land_on_charts_alone(upsampler):
+    """Where a border is sparser than the core, points without charts are the nearest to some."""
+    rng = np.random.default_rng(0)
+    dense, sparse = rng.random((6000, 2)), rng.random((1400, 2)) * [5, 1] + [1, 0]
+    flat = np.concatenate([dense, sparse])
+    reached = []
+    for tile in survey(Cloud(np.column_stack([flat, 0.01 * flat[:, 0]])), Options(2.0), 1250).tiles:
+        job = prepare(tile)
+        charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
+        landing = propose(job, charts)
+        assert landing.charts.max() < tile.charted == sum(len(each.rows) for each in charts)
+        near = job.neighbours[landing.charts[:, 0], :12]
+        gaps = landing.spots[:, None] - job.points[near]
+        nearest = near[np.arange(len(near)), np.square(gaps).sum(axis=2).argmin(axis=1)]
+        reached.append(np.count_nonzero(nearest >= tile.charted))
+    assert sum(reached) > 0
+
+
+def test_a_noisy_cloud_whose_points_stay(ball):
+    """Its margins need no more charts than others: nothing is denoised."""
+    noisy_ball = Cloud(ball + np.random.default_rng(0).normal(size=ball.shape, scale=0.02))
+    for keep in (False, True):
+        plan = survey(noisy_ball, Options(4.0, keep_input=keep), SIZE)
+        assert all((cut.charted == len(cut.rows)) is not keep for cut in plan.cuts)
 
 
 def test_a_tile_without_neighbours(upsampler, ball):

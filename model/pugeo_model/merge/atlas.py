@@ -45,8 +45,8 @@ class Atlas:
     Attributes:
         points: ``(M, 3)`` float64, unit scale.
         frames: of the points.
-        candidates: ``(n, c, 3)`` of those points that got charts, which lead.
-        T, code, lift: ``M``, as in :class:`PatchCharts`; points without a chart have another's.
+        candidates, T, code, lift: as in :class:`PatchCharts`, of the points that got charts. These
+            lead.
     """
 
     points: NDArray[np.float64]
@@ -104,21 +104,14 @@ def bind(points: NDArray[np.float64], frames: Frames, charts: Sequence[PatchChar
         charts: of all patches; the rows of each follow those of another.
     """
     parts = sorted(charts, key=lambda part: int(part.rows[0]))
-    candidates = np.concatenate([part.candidates for part in parts])
-    bare = len(points) - len(candidates)
     return Atlas(
         points,
         frames,
-        candidates,
-        _extended([part.T for part in parts], bare),
-        _extended([part.code for part in parts], bare),
-        _extended([part.lift for part in parts], bare),
+        np.concatenate([part.candidates for part in parts]),
+        np.concatenate([part.T for part in parts]),
+        np.concatenate([part.code for part in parts]),
+        np.concatenate([part.lift for part in parts]),
     )
-
-
-def _extended(parts: list[NDArray[Any]], bare: int) -> NDArray[Any]:
-    """All parts, and ``bare`` rows more: nothing lands there that anybody keeps."""
-    return np.concatenate([*parts, np.repeat(parts[-1][-1:], bare, axis=0)])
 
 
 def screened(candidates: int) -> int:

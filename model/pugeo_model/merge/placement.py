@@ -206,15 +206,26 @@ def nearest_charts(
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     count: int,
+    charted: int | None = None,
 ) -> NDArray[np.int32]:
-    """The ``count`` charts nearest to each spot among its owner and that one's neighbours."""
+    """The ``count`` charts nearest to each spot among its owner and that one's neighbours.
+
+    Args:
+        spots: ``(K, 3)``.
+        owner: ``(K,)`` chart of each.
+        points: ``(M, 3)``.
+        neighbours: ``(M, k)`` points near each point.
+        count: how many charts. The owner stands in for those that are not there.
+        charted: of the points so many lead that have charts, by default all.
+    """
     found = np.empty((len(spots), count), dtype=np.int32)
-    _nearest_charts(spots, owner, points, neighbours[:, :_NEAR_CHARTS], found)
+    charted = len(points) if charted is None else charted
+    _nearest_charts(spots, owner, points, neighbours[:, :_NEAR_CHARTS], charted, found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _nearest_charts(spots, owner, points, neighbours, found):  # type: ignore[no-untyped-def]
+def _nearest_charts(spots, owner, points, neighbours, charted, found):  # type: ignore[no-untyped-def]
     count, k = found.shape[1], neighbours.shape[1]
     best = np.empty(count)
     charts = np.empty(k + 1, dtype=np.int32)
@@ -239,7 +250,7 @@ def _nearest_charts(spots, owner, points, neighbours, found):  # type: ignore[no
         found[i, :] = before
         for near in range(k + 1):
             d = squared[near]
-            if d >= best[count - 1]:
+            if d >= best[count - 1] or charts[near] >= charted:
                 continue
             at = count - 1
             while at > 0 and d < best[at - 1]:

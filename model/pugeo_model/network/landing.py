@@ -126,7 +126,7 @@ def _sheets(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
 
     Frame and T make one basis: its columns are the chart's tangents and normal in the world.
     """
-    count = len(axes)
+    count = len(lift)
     sheets = np.empty((count, _SHEET), dtype=np.float32)
     for i in range(count):
         for a in range(3):
