@@ -67,7 +67,7 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
     return formats.read(io.BytesIO(asyncio.run(whole())), format="ply").points
 
 
-@pytest.fixture(params=[(9, None), (1, None), (1, 2500)], ids=["at once", "in parts", "in tiles"])
+@pytest.fixture(params=[(9, None), (1, None), (1, 2000)], ids=["at once", "in parts", "in tiles"])
 def both(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[Cloud], tuple[Result, NDArray[np.float32]]]:
