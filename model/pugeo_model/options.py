@@ -58,6 +58,10 @@ class Options:
         """Output points for ``count`` input points: exactly round(R M), halves up."""
         return self.n_points or math.floor(self.ratio * count + 0.5)
 
+    def keeps_points(self, count: int) -> bool:
+        """Whether ``count`` input points begin the answer: asked for, or no point is new."""
+        return self.keep_input or self.points_out(count) == count
+
 
 def refuse(name: str, value: Any, wanted: str, **fields: Any) -> NoReturn:
     """Raise a `BadOption` that says what would be right."""

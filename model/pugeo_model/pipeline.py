@@ -113,7 +113,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
             limit=[count, int(MOST) * count],
         )
     cuts, noise, typical = cut_tiles(points, n_out, tile_size)
-    if noise is not None and noise > _NOISY and not (options.keep_input or n_out == count):
+    if noise is not None and noise > _NOISY and not options.keeps_points(count):
         # All points are to land, since others will lean on where they do.
         cuts = [replace(cut, charted=len(cut.rows)) for cut in cuts]
     given = cleaned.normals is not None

@@ -55,8 +55,8 @@ class Plan:
 
     @property
     def keeps_input(self) -> bool:
-        """Whether the answer begins with the input points: asked for, or no point is new."""
-        return self.options.keep_input or self.n_out == len(self.points)
+        """Whether the answer begins with the input points."""
+        return self.options.keeps_points(len(self.points))
 
     @property
     def tiles_in_order(self) -> bool:

@@ -108,7 +108,9 @@ class Full(io.BytesIO):
         """Fail, as every attempt will."""
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    close = flush
+    def close(self) -> None:
+        """Fail in another way."""
+        raise OSError(errno.EIO, "Input/output error")
 
 
 def test_a_full_disk_shows_at_once(tmp_path: Path) -> None:

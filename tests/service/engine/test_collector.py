@@ -29,7 +29,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     pool = Watched(9, tiles=5, by_rows=True)
     outcome, data = run(pool, tmp_path)
     # Of what is on its way no tile is kept, nor of those that both workers wrote meanwhile.
-    assert live[::3] == [2, 1, 0, 0, 0]
+    assert live == [2, 2, 2, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
     assert data == 5 * b"012"
     assert not pool.of("assemble")
     (agreed,) = pool.of("agree")
@@ -39,6 +39,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert all(handle.args[1] is agreed for handle in written)
     assert outcome.report == {"points_in": 1}
     assert (outcome.seconds["finish"], outcome.seconds["write"]) == (7.0, 0.0)
+    assert (outcome.seconds["land"], outcome.seconds["merge"]) == (2.5, 1.25)
     assert not any(handle.live for handle in pool.handles)
 
 
