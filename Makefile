@@ -14,7 +14,7 @@ INSTALL := $(PIP) install -qq --constraint constraints.txt
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-long test-postgres serve lint format train bench openapi constraints clean
+.PHONY: help install demo test test-long test-postgres serve lint format train bench digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,6 +54,9 @@ train: $(VENV)/.installed-dev ## train the network (ARGS="--help" tells how)
 
 bench: $(VENV)/.installed-dev ## print the figures of the README, with machine and commit
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+digests: $(VENV)/.installed-dev ## record this platform's checksums of answers in tests/model/digests.json
+	@$(BIN)/python -m benchmarks.digests --record
 
 openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
 	@$(BIN)/python -m pugeo_service.openapi > docs/openapi.new
