@@ -48,7 +48,7 @@ USER 10001:10001
 WORKDIR /var/spool/pugeo
 # The geometry kernels are compiled here once, by making a small cloud denser; a host with another
 # processor compiles its own into the same folder.
-RUN ["python", "-c", "from pugeo_service.engine.preload import warm; warm('standard')"]
+RUN ["python", "-c", "from pugeo_service.engine.worker import warm; warm('standard')"]
 EXPOSE 8000
 STOPSIGNAL SIGTERM
 # The first start on another processor compiles; it gets two minutes before a failed probe counts.

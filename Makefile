@@ -59,7 +59,7 @@ digests: $(VENV)/.installed-dev ## record this platform's checksums of answers i
 	@$(BIN)/python -m benchmarks.digests --record
 
 openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
-	@$(BIN)/python -m pugeo_service.openapi > docs/openapi.new
+	@$(BIN)/python -m pugeo_service.http.openapi > docs/openapi.new
 	@mv docs/openapi.new docs/openapi.json
 
 reliability-load: $(VENV)/.installed-dev ## 64 clients for 5 minutes (ARGS="--seconds 30 --cores 0,1")

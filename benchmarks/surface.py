@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.merge.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, reach_of_share
 
 __all__ = ["distances", "normals", "sample", "spiral"]
 

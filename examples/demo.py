@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_client import Client, Meta, PugeoError, Result
-from pugeo_model.render import BACKGROUND, Camera, splat
+from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 
 HERE = Path(__file__).parent
 START_SECONDS = 180.0  # the very first start compiles the geometry kernels

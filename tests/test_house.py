@@ -267,7 +267,7 @@ def test_the_health_check_of_the_image(root: Path) -> None:
 
 def test_dashboards_and_alerts_know_the_metrics(root: Path) -> None:
     """Each metric that a panel or an alert names is one that the service tells."""
-    from pugeo_service.telemetry import Readings, Telemetry
+    from pugeo_service.observability.telemetry import Readings, Telemetry
 
     card = {"name": "standard", "version": "1", "sha256": "0"}
     telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1", card)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from pugeo_model.errors import BadOption
-from pugeo_model.finish.orientation import METHODS
+from pugeo_model.orient.methods import METHODS
 
 __all__ = ["MOST", "Options", "refuse"]
 

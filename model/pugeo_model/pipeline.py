@@ -27,19 +27,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.attributes import carry
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
-from pugeo_model.finish.attributes import carry
-from pugeo_model.finish.by_answer import take_sides_by_answer
-from pugeo_model.finish.joining import signs_of_parts
-from pugeo_model.finish.orientation import method_of, orient, propagate
-from pugeo_model.finish.seams import Rim, part
-from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
+from pugeo_model.geometry.areas import shares
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.geometry.partition import PATCH_SIZE, chunks
 from pugeo_model.geometry.patches import Patch, cut
-from pugeo_model.geometry.shares import shares
-from pugeo_model.merge.atlas import (
+from pugeo_model.normalise import normalise
+from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.orient.across_tiles import signs_of_parts
+from pugeo_model.orient.dense import take_sides_by_answer
+from pugeo_model.orient.methods import method_of, orient, propagate
+from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
+from pugeo_model.resample.atlas import (
     BLENDED,
     Atlas,
     Landed,
@@ -48,11 +50,9 @@ from pugeo_model.merge.atlas import (
     bind,
     screened,
 )
-from pugeo_model.merge.elimination import reach_of_share
-from pugeo_model.merge.placement import even_out, nearest_charts, place
-from pugeo_model.normalise import normalise
-from pugeo_model.options import MOST, Options, refuse
-from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
+from pugeo_model.resample.elimination import reach_of_share
+from pugeo_model.resample.seams import Rim, part
+from pugeo_model.resample.selection import even_out, nearest_charts, place
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.finish.joining import Sides
-from pugeo_model.finish.seams import Rim
 from pugeo_model.geometry.frames import Frames
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.normalise import Placement
 from pugeo_model.options import Options
+from pugeo_model.orient.across_tiles import Sides
+from pugeo_model.resample.seams import Rim
 from pugeo_model.tiles import Cut, Tile
 
 __all__ = ["Agreed", "Border", "Job", "Piece", "Plan", "Result"]
@@ -108,7 +108,7 @@ class Job:
         points: ``(M, 3)`` float64, unit scale.
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one a point.
-        share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.shares`.
+        share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.areas`.
         patches: the units of work; their cores partition the points that get charts.
         noise: of the input as it came, see `noise_level`.
         denoised: the points are where those of a noisy input landed.

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.boxes import corners, inside
-from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
+from pugeo_model.geometry.aabb import corners, inside
 from pugeo_model.geometry.frames import noise_level, rough_residuals
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
+from pugeo_model.geometry.partition import PATCH_SIZE, chunks
 from pugeo_model.normalise import Placement
 
 __all__ = ["Cut", "Tile", "cut_tiles"]

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
-from pugeo_model.network.memory import give_back_freed_memory
+from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
     Job,
@@ -29,6 +28,7 @@ from pugeo_model.pipeline import (
     propose,
     survey,
 )
+from pugeo_model.resample.atlas import Landed, Landing, PatchCharts
 from pugeo_model.tiles import Cut, Tile
 
 __all__ = ["Upsampler"]

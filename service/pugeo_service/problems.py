@@ -19,7 +19,7 @@ from pugeo_model.errors import (
     UnsupportedFormat,
     UntreatableCloud,
 )
-from pugeo_service.plain import plain_json
+from pugeo_service.http.plain_json import plain_json
 
 __all__ = [
     "MEDIA_TYPE",

@@ -7,12 +7,12 @@ import torch
 from scipy.spatial import cKDTree
 
 from pugeo_model import Cloud
-from pugeo_model.finish.by_answer import take_sides_by_answer
-from pugeo_model.finish.joining import signs_of_parts
+from pugeo_model.geometry.areas import shares
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.shares import shares
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
+from pugeo_model.orient.across_tiles import signs_of_parts
+from pugeo_model.orient.dense import take_sides_by_answer
 from pugeo_model.pipeline import (
     denoise,
     land,

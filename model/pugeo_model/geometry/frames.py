@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.geometry.principal import cross, principal_axes
+from pugeo_model.geometry.pca import cross, principal_axes
 from pugeo_model.geometry.quadric import QUADRIC, fit_quadric
 
 __all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]

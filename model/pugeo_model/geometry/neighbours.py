@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.leaves import nearest_in_leaves
+from pugeo_model.geometry.knn import nearest_in_leaves
 
 __all__ = ["NEIGHBOURS", "SPACING_NEIGHBOURS", "knn", "nearest", "spacing"]
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.merge.atlas import BLENDED, Landed
-from pugeo_model.merge.placement import nearest_charts, place
+from pugeo_model.mesh.distance import MeshDistance
 from pugeo_model.metrics.reconstruction import reconstruct
-from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.network.pattern import disk
 from pugeo_model.options import Options
 from pugeo_model.pipeline import Job, Plan, assemble, finish, prepare, survey
+from pugeo_model.resample.atlas import BLENDED, Landed
+from pugeo_model.resample.selection import nearest_charts, place
 from pugeo_model.training.corpus import face_normals, poisson_disk
 
 __all__ = ["jet", "plane", "poisson"]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
+from pugeo_model.mesh.distance import MeshDistance
 from pugeo_model.metrics.clouds import (
     chamfer,
     evenness,
@@ -22,7 +23,6 @@ from pugeo_model.metrics.clouds import (
     sphere_distances,
 )
 from pugeo_model.metrics.reconstruction import Mesh, reconstruct
-from pugeo_model.metrics.surface_distance import MeshDistance
 from pugeo_model.training.corpus import face_normals, poisson_disk, uniform
 
 __all__ = [

@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.metrics.evaluation import Measured
+from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 from pugeo_model.metrics.reconstruction import Mesh
-from pugeo_model.render import BACKGROUND, Camera, splat
 from pugeo_model.training.corpus import uniform
 
 __all__ = ["FAR", "draw"]

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.geometry.quadric import QUADRIC
+from pugeo_model.network.kernels.pooling import rectify
 from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.pattern import disk
-from pugeo_model.network.pooling import rectify
 from pugeo_model.network.precision import wide_products
 
 __all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric", "spread"]

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pugeo_model.network.pooling import rectify
+from pugeo_model.network.kernels.pooling import rectify
 from pugeo_model.network.precision import bfloat16_pays
 
 __all__ = ["Linear", "Rectified", "serve"]

@@ -7,13 +7,13 @@ import numpy as np
 import torch
 
 from pugeo_model.geometry.patches import Patch
-from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
+from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.heads import spread
-from pugeo_model.network.landing import Lander, settle
+from pugeo_model.network.kernels.projection import Lander, settle
 from pugeo_model.network.linear import serve
-from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.neighbourhoods import gather
 from pugeo_model.network.pugeo import PUGeoNet
+from pugeo_model.resample.atlas import Landed, Landing, PatchCharts
 
 __all__ = ["Model"]
 

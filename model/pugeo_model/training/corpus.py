@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.geometry.neighbours import knn
-from pugeo_model.merge.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, reach_of_share
 
 __all__ = [
     "SIZES",

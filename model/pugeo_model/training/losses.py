@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pugeo_model.merge.atlas import BLENDED
-from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.network.blend import blend
+from pugeo_model.mesh.distance import MeshDistance
 from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
+from pugeo_model.resample.atlas import BLENDED
 from pugeo_model.training.batches import Sample
 from pugeo_model.training.corpus import Shape
 

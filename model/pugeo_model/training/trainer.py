@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
-from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
+from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches

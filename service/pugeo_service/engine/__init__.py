@@ -3,6 +3,6 @@
 
 from pugeo_service.engine.engine import Engine
 from pugeo_service.engine.errors import DiskFailed, EngineLost, WorkerLost
-from pugeo_service.engine.order import Order, Outcome, Readable
+from pugeo_service.engine.messages import Order, Outcome, Readable
 
 __all__ = ["DiskFailed", "Engine", "EngineLost", "Order", "Outcome", "Readable", "WorkerLost"]

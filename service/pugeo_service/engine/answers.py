@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from pugeo_model import formats, pipeline
-from pugeo_service.engine.order import Sheet
+from pugeo_service.engine.messages import Sheet
 from pugeo_service.engine.values import Agreed, Carried, Finished, Prepared, Written
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = [
     "agree",

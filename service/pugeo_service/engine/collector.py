@@ -6,9 +6,9 @@ from typing import Any
 
 from pugeo_service.engine.dispatch import Dispatch
 from pugeo_service.engine.errors import EngineLost, disk
-from pugeo_service.engine.order import Sheet
-from pugeo_service.shared_file import SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.engine.messages import Sheet
+from pugeo_service.storage.shared_file import SharedFile
+from pugeo_service.storage.spool import Spool
 
 __all__ = ["Collector"]
 

@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
-from pugeo_service.engine.order import Order
-from pugeo_service.engine.pool import Pool, Stage
-from pugeo_service.engine.spread import Haste, Spread
+from pugeo_service.engine.backend import Pool, Stage
+from pugeo_service.engine.bounded_map import Haste, Spread
+from pugeo_service.engine.messages import Order
+from pugeo_service.engine.scheduling import LARGE_PATCHES, Lanes
 
 __all__ = ["Dispatch", "Where"]
 

@@ -11,13 +11,13 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from pugeo_service.engine.dask_pool import DaskPool
+from pugeo_service.engine.backend import Pool
+from pugeo_service.engine.dask_backend import DaskPool
 from pugeo_service.engine.errors import EngineLost, WorkerLost
-from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.lanes import Lanes
-from pugeo_service.engine.order import InMemory, Order, Outcome, Readable, Watcher
-from pugeo_service.engine.pool import Pool
+from pugeo_service.engine.messages import InMemory, Order, Outcome, Readable, Watcher
+from pugeo_service.engine.orchestrator import Flow
 from pugeo_service.engine.sample import sample_body, sample_order
+from pugeo_service.engine.scheduling import Lanes
 from pugeo_service.settings import Settings
 
 __all__ = ["Engine", "Status"]
@@ -157,7 +157,7 @@ class Engine:
 def _make_pool(settings: Settings) -> Pool:
     if settings.engine == "inline":
         # Here and not above: it brings the model and torch into this process.
-        from pugeo_service.engine.inline_pool import InlinePool
+        from pugeo_service.engine.inline_backend import InlinePool
 
         return InlinePool(settings)
     return DaskPool(settings)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pugeo_model import formats
 from pugeo_model.cloud import Cloud
-from pugeo_service.engine.order import Order
+from pugeo_service.engine.messages import Order
 
 __all__ = ["sample_body", "sample_order"]
 

@@ -31,9 +31,9 @@ from pugeo_service.engine.answers import (
     describe_written,
     write_tile,
 )
-from pugeo_service.engine.order import Head, Order
+from pugeo_service.engine.messages import Head, Order
 from pugeo_service.engine.values import Carried, Charted, Cut, Finished, Prepared, Written
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = [
     "agree",

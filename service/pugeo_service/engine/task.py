@@ -4,7 +4,7 @@
 import faulthandler
 from typing import Any
 
-from pugeo_service.engine.pool import QUICK
+from pugeo_service.engine.backend import QUICK
 
 __all__ = ["run_stage"]
 

@@ -12,8 +12,8 @@ import structlog
 from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
+from pugeo_service.http.plain_json import plain_json
 from pugeo_service.jobs.schema import metadata
-from pugeo_service.plain import plain_json
 from pugeo_service.problems import Problem
 
 __all__ = ["Database", "unavailable"]

@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_service.spool import Sink
+from pugeo_service.storage.spool import Sink
 
 __all__ = ["InputLost", "JobFiles", "NewFile", "StoredInput"]
 

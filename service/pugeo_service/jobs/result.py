@@ -9,9 +9,9 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import FileResponse, MalformedRangeHeader, RangeNotSatisfiable, Response
 
-from pugeo_service.answer import run_headers
-from pugeo_service.jobs.record import Job
-from pugeo_service.negotiation import OFFERS
+from pugeo_service.http.negotiation import OFFERS
+from pugeo_service.http.responses import run_headers
+from pugeo_service.jobs.models import Job
 from pugeo_service.problems import Problem
 
 __all__ = ["check_there", "result_answer"]

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import structlog
 
 from pugeo_service.engine import Engine
-from pugeo_service.jobs import queue, store
-from pugeo_service.jobs.attempt import Attempt
+from pugeo_service.jobs import client_queries, runner_queries
+from pugeo_service.jobs.completion import Settlement, crashed
 from pugeo_service.jobs.database import Database
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.settle import Settlement, crashed
+from pugeo_service.jobs.execution import Attempt
+from pugeo_service.jobs.models import Job
 from pugeo_service.problems import Problem
 
 __all__ = ["Runner"]
@@ -104,7 +104,9 @@ class Runner:
             Problem: 503, the database cannot be used.
         """
         before = time.time() - _STRAY_S
-        if await self._database.write(queue.put_back, self._name, list(self._halts), before):
+        if await self._database.write(
+            runner_queries.put_back, self._name, list(self._halts), before
+        ):
             _log.warning("jobs that nobody ran are queued again")
             self.wake()
 
@@ -114,7 +116,7 @@ class Runner:
             len(self._tasks) < self._limit
             and self._engine.status.workers
             and not self._draining
-            and (job := await self._database.write(queue.claim, self._name, time.time()))
+            and (job := await self._database.write(runner_queries.claim, self._name, time.time()))
         ):
             self._halts[job.id] = asyncio.Event()
             if self._draining:
@@ -184,6 +186,8 @@ class Runner:
     async def _note(self, job: Job, progress: tuple[str, int, int | None] | None) -> bool:
         """Write progress down if there is any; return whether the job is still ours."""
         if progress is not None:
-            return await self._database.write(queue.progress, job.id, self._name, *progress)
-        found = await self._database.read(store.many, [job.id])
+            return await self._database.write(
+                runner_queries.progress, job.id, self._name, *progress
+            )
+        found = await self._database.read(client_queries.many, [job.id])
         return bool(found) and found[0].runner == self._name

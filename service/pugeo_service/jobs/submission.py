@@ -14,17 +14,17 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import IntegrityError
 from starlette.requests import Request
 
-from pugeo_service.admission import Admission
-from pugeo_service.body import receive_into
-from pugeo_service.jobs import store
+from pugeo_service.admission.admission import Admission
+from pugeo_service.http.body import receive_into
+from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.jobs import client_queries
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
-from pugeo_service.jobs.record import Job, new_id
-from pugeo_service.jobs.room import Room
-from pugeo_service.options import UpsampleQuery
+from pugeo_service.jobs.models import Job, new_id
+from pugeo_service.jobs.quota import Room
 from pugeo_service.problems import Problem
 from pugeo_service.settings import Settings
-from pugeo_service.storage import storage_problems
+from pugeo_service.storage.problems import storage_problems
 
 __all__ = ["Submission", "key_of"]
 
@@ -84,8 +84,8 @@ class Submission:
                 owner has its share; 503 where there is no room for anybody, the disk is full,
                 or the database fails.
         """
-        if key is None or not await self._database.read(store.by_key, owner, key):
-            self._room.check(owner, 0, *await self._database.read(store.usages, owner))
+        if key is None or not await self._database.read(client_queries.by_key, owner, key):
+            self._room.check(owner, 0, *await self._database.read(client_queries.usages, owner))
         job_id = new_id()
         with self._arriving.hold(owner) as hold, self._files.new_input(job_id) as file:
             body = await receive_into(file, request, self._settings, hold)
@@ -138,7 +138,7 @@ class Submission:
         input. Where not even that can be found out, the sweep decides later.
         """
         try:
-            there = await self._database.read(store.many, [job.id])
+            there = await self._database.read(client_queries.many, [job.id])
         except Problem:
             _log.warning("an input may be left behind until the next sweep", job=job.id)
             return
@@ -149,10 +149,10 @@ class Submission:
 def _find_or_add(connection: Connection, job: Job, room: Room) -> Job | None:
     """Return the job that has its key already, or else insert it where there is room."""
     if job.idempotency_key is not None:
-        earlier = store.by_key(connection, job.owner, job.idempotency_key)
+        earlier = client_queries.by_key(connection, job.owner, job.idempotency_key)
         if earlier is not None:
             return earlier
-    store.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
+    client_queries.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
     return None
 
 

@@ -7,8 +7,8 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from pugeo_service import __version__
+from pugeo_service.container import ServiceDep
 from pugeo_service.problems import Problem, problem_responses
-from pugeo_service.state import ServiceDep
 
 __all__ = ["router"]
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from pugeo_service.container import ServiceDep
 from pugeo_service.problems import Problem, problem_responses
-from pugeo_service.state import ServiceDep
 
 __all__ = ["router"]
 

@@ -7,22 +7,22 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from pugeo_model.errors import CloudError
-from pugeo_service.admission import Hold
-from pugeo_service.answer import DenseAnswer, answer_headers
-from pugeo_service.body import Body, ClientGone, receive_body
-from pugeo_service.deadline import Deadline
-from pugeo_service.disconnect import DeadlinePassed, while_connected
+from pugeo_service.admission.admission import Hold
+from pugeo_service.admission.deadline import Deadline
+from pugeo_service.container import Service, ServiceDep
 from pugeo_service.engine import Order, Outcome
+from pugeo_service.http.body import Body, ClientGone, receive_body
+from pugeo_service.http.cancellation import DeadlinePassed, while_connected
+from pugeo_service.http.negotiation import OFFERS, Offer
+from pugeo_service.http.prefer import preferences
+from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.http.responses import DenseAnswer, answer_headers
 from pugeo_service.keys import owner_of
-from pugeo_service.negotiation import OFFERS, Offer
-from pugeo_service.options import UpsampleQuery
-from pugeo_service.prefer import preferences
+from pugeo_service.observability.tracing import StageSpans
 from pugeo_service.problems import Problem, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
-from pugeo_service.spool import Spool
-from pugeo_service.state import Service, ServiceDep
-from pugeo_service.tracing import StageSpans
-from pugeo_service.work import count_run, engine_problems, make_order, offer_of
+from pugeo_service.runs import count_run, engine_problems, make_order, offer_of
+from pugeo_service.storage.spool import Spool
 
 __all__ = ["router"]
 

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from pugeo_model.cloud import Cloud
 from pugeo_model.metrics.evaluation import Case, Measured, Truth, measure, measure_surface
 from pugeo_model.metrics.pictures import FAR, draw
-from pugeo_model.render import BACKGROUND, Camera, splat
+from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 
 SIDE = 120
 

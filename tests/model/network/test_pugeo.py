@@ -6,8 +6,8 @@ import torch
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import cut
-from pugeo_model.network.blend import blend
 from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
 

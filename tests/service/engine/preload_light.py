@@ -6,7 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pugeo_service.engine import preload, stages
+from pugeo_service.engine import stages
+from pugeo_service.engine import worker as preload
 
 
 def add(left: int, right: Any) -> int:

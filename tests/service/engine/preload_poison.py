@@ -5,7 +5,8 @@ import os
 import time
 from typing import Any
 
-from pugeo_service.engine import preload, stages
+from pugeo_service.engine import stages
+from pugeo_service.engine import worker as preload
 
 POISON = b"POISON"
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.lanes import Lanes
-from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
+from pugeo_service.engine.messages import Head, InMemory, Order, Outcome, Sheet, Watcher
+from pugeo_service.engine.orchestrator import Flow
 from pugeo_service.engine.sample import sample_order
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.engine.scheduling import Lanes
+from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = ["ORDER", "Handle", "Recorder", "run"]
 

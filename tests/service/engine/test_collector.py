@@ -11,8 +11,8 @@ import pytest
 from tests.service.engine.recorder import Handle, Recorder, run
 
 from pugeo_service.engine.errors import DiskFailed, EngineLost
-from pugeo_service.shared_file import SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.storage.shared_file import SharedFile
+from pugeo_service.storage.spool import Spool
 
 
 def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:

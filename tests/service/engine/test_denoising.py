@@ -16,7 +16,7 @@ from pugeo_model import Cloud, formats, tiles
 from pugeo_model.plan import Result
 from pugeo_model.upsampler import Upsampler
 from pugeo_service.engine import Engine
-from pugeo_service.engine.order import InMemory
+from pugeo_service.engine.messages import InMemory
 from pugeo_service.engine.sample import sample_order
 from pugeo_service.settings import Settings
 

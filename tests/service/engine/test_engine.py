@@ -22,12 +22,12 @@ from pugeo_service.engine import (
     Order,
     Outcome,
     WorkerLost,
-    dask_pool,
+    dask_backend,
 )
 from pugeo_service.engine.sample import sample_body, sample_order
 from pugeo_service.settings import Settings
-from pugeo_service.shared_file import NOWHERE, SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.storage.shared_file import NOWHERE, SharedFile
+from pugeo_service.storage.spool import Spool
 
 pytestmark = pytest.mark.slow
 
@@ -145,8 +145,8 @@ def test_a_poisonous_request_harms_nobody_else(
 ) -> None:
     """It fails alone, after its second chance; requests beside it and after it are served."""
     trap = Path(__file__).with_name("preload_poison.py")
-    config = {**dask_pool._CONFIG, "distributed.worker.preload": [str(trap)]}
-    monkeypatch.setattr(dask_pool, "_CONFIG", config)
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": [str(trap)]}
+    monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
     async def scenario(engine: Engine) -> None:
         data = sample_body().tobytes()

@@ -22,9 +22,9 @@ from pugeo_service import app as app_module
 from pugeo_service.app import create_app
 from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
 from pugeo_service.engine.engine import Status
-from pugeo_service.jobs.service import Jobs
+from pugeo_service.jobs.manager import Jobs
 from pugeo_service.settings import Settings
-from pugeo_service.spool import Spool
+from pugeo_service.storage.spool import Spool
 
 REPORT = {
     "points_in": 4,
@@ -168,8 +168,8 @@ def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: st
     monkeypatch.setattr(app_module, "Engine", PlayedEngine)
     monkeypatch.setattr("pugeo_service.jobs.runner._LOOK_S", 0.05)
     monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 0.02)
-    monkeypatch.setattr("pugeo_service.jobs.keeper._ROUND_S", 0.05)
-    monkeypatch.setattr("pugeo_service.jobs.settle._AGAIN_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._ROUND_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._AGAIN_S", 0.05)
 
     @asynccontextmanager
     async def opened(**settings: Any) -> AsyncIterator[House]:

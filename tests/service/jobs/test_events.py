@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from pugeo_service.jobs.change_feed import Watch
 from pugeo_service.jobs.events import stream
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.watch import Watch
+from pugeo_service.jobs.models import Job
 
 JOB = Job(
     id="1", owner="", state="queued", revision=1, idempotency_key=None, request_digest="",
@@ -177,7 +177,7 @@ def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """One more than the bound is refused; those that left make room."""
     from pugeo_service.problems import Problem
 
-    monkeypatch.setattr("pugeo_service.jobs.watch._MOST_WATCHERS", 2)
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._MOST_WATCHERS", 2)
 
     async def nothing(_: list[str]) -> list[Job]:
         return []

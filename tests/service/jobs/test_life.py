@@ -94,7 +94,7 @@ def test_a_job_of_malformed_bytes_tells_where(play: Any) -> None:
 
 def test_an_engine_that_is_gone_is_waited_for(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A lost scheduler is no fault of the job: it goes back into the queue, uncounted."""
-    monkeypatch.setattr("pugeo_service.jobs.settle._ENGINE_BACK_S", 0.1)
+    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_BACK_S", 0.1)
 
     async def scenario(house: Any) -> None:
         house.engine.lose = 7  # more often than a job may be begun

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
+from pugeo_model.network.kernels.pooling import pools, sums
 from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.neighbourhoods import Neighbourhoods, Round
-from pugeo_model.network.pooling import pools, sums
 
 __all__ = ["ChartsBackbone"]
 
