@@ -10,7 +10,7 @@ from typing import TypeAlias
 from pugeo_client import _retry
 from pugeo_client._http import httpx
 from pugeo_client._wire import Request
-from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, PugeoError
+from pugeo_client.errors import ConnectionFailedError, DeadlineExceededError, PugeoError
 
 __all__ = ["Attempts", "Progress"]
 
@@ -54,13 +54,13 @@ class Attempts:
         return self._end - time.monotonic()
 
     def check(self) -> None:
-        """Raise DeadlineExceeded if the time is up."""
+        """Raise DeadlineExceededError if the time is up."""
         if self.remaining <= 0:
             raise self.too_late()
 
-    def too_late(self) -> DeadlineExceeded:
+    def too_late(self) -> DeadlineExceededError:
         """The error of a call whose time is up."""
-        return DeadlineExceeded(f"no complete answer within {self._timeout:g} s")
+        return DeadlineExceededError(f"no complete answer within {self._timeout:g} s")
 
     def phases(self) -> "httpx.Timeout":
         """What is left of the deadline, for each phase of the next try."""
@@ -105,7 +105,7 @@ class Attempts:
             return self.too_late()
         if isinstance(error, (httpx.LocalProtocolError, httpx.UnsupportedProtocol)):
             return PugeoError(f"the request cannot be sent: {error}")
-        return ConnectionFailed(f"no answer: {type(error).__name__}: {error}".rstrip(": "))
+        return ConnectionFailedError(f"no answer: {type(error).__name__}: {error}".rstrip(": "))
 
     def wait_after(self, failure: PugeoError) -> float:
         """Seconds to wait before the next try; raises the failure if there is to be none."""

@@ -90,7 +90,7 @@ class Client:
         Raises:
             SourceError: ``src`` cannot be sent.
             StatusError: the service refused; see `pugeo_client.errors` for its kinds.
-            ConnectionFailed: no answer, or none within ``timeout`` (``DeadlineExceeded``).
+            ConnectionFailedError: no answer, or none within ``timeout`` (``DeadlineExceededError``).
         """
         target = None if out is None else Path(out)
         answer = format if format and target else _wire.default_format(target)
@@ -151,7 +151,7 @@ class Client:
             **options: as in `upsample`.
 
         Raises:
-            Unprocessable: the key was used for another cloud or other options.
+            UnprocessableError: the key was used for another cloud or other options.
             PugeoError: as `upsample`.
         """
         request = _wire.upsample_request(src, ratio, format, **options)

@@ -13,7 +13,7 @@ from pugeo_client import _retry, _wire
 from pugeo_client._attempts import Progress
 from pugeo_client._sink import Sink
 from pugeo_client._wire import Request
-from pugeo_client.errors import DeadlineExceeded, PugeoError, SourceError, problem_error
+from pugeo_client.errors import DeadlineExceededError, PugeoError, SourceError, problem_error
 
 __all__ = ["Told", "Watch", "job_request", "list_request", "submission"]
 
@@ -133,14 +133,14 @@ class Watch:
         """Take note of a question without an answer; raise what will not pass."""
         now = time.monotonic()
         self._lost = now if self._lost is None else self._lost
-        late = isinstance(failure, DeadlineExceeded) and self.remaining > 0
+        late = isinstance(failure, DeadlineExceededError) and self.remaining > 0
         if not (late or _retry.may_succeed_later(failure)) or now - self._lost > PATIENCE:
             raise failure
 
     def pause(self) -> float:
-        """Seconds until the next question; raises DeadlineExceeded where the time is up."""
+        """Seconds until the next question; raises DeadlineExceededError where the time is up."""
         if self.remaining <= 0:
-            raise DeadlineExceeded(f"the job did not end within {self._timeout:g} s")
+            raise DeadlineExceededError(f"the job did not end within {self._timeout:g} s")
         delay, self._delay = self._delay, min(self._delay * 1.5, LONGEST_POLL)
         return min(delay, max(self.remaining, 0.0))
 

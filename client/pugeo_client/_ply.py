@@ -7,7 +7,7 @@ A reader for PLY from anywhere stands in the service; this one needs numpy and 4
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_client.errors import BadAnswer
+from pugeo_client.errors import InvalidResponseError
 
 __all__ = ["read_ply"]
 
@@ -37,14 +37,14 @@ def read_ply(data: bytes) -> dict[str, NDArray[np.generic]]:
         property name -> ``(M,)`` read-only array in the file's own type, in the file's order.
 
     Raises:
-        BadAnswer: another kind of PLY, or more or fewer bytes than the header promises.
+        InvalidResponseError: another kind of PLY, or more or fewer bytes than the header promises.
     """
     start = data.find(_END, 0, _LONGEST_HEADER) + len(_END)
     if start < len(_END):
-        raise BadAnswer("the answer is no PLY: it has no end_header line")
+        raise InvalidResponseError("the answer is no PLY: it has no end_header line")
     count, dtype = _layout(data[:start].decode("latin-1"))
     if len(data) - start != count * dtype.itemsize:
-        raise BadAnswer(
+        raise InvalidResponseError(
             f"the answer promises {count} points of {dtype.itemsize} bytes "
             f"but has {len(data) - start} bytes"
         )
@@ -58,13 +58,15 @@ def _layout(header: str) -> tuple[int, np.dtype[np.void]]:
     elements = [words[1:] for words in lines if words and words[0] == "element"]
     columns = [words[1:] for words in lines if words and words[0] == "property"]
     if lines[:2] != [["ply"], ["format", "binary_little_endian", "1.0"]]:
-        raise BadAnswer("the answer is no binary little-endian PLY")
+        raise InvalidResponseError("the answer is no binary little-endian PLY")
     try:
         ((element, count),) = elements
         dtype = np.dtype([(name, _DTYPES[kind]) for kind, name in columns])
         points = int(count)
     except (KeyError, ValueError) as error:
-        raise BadAnswer(f"the answer is a PLY of more than points: {error}") from error
+        raise InvalidResponseError(f"the answer is a PLY of more than points: {error}") from error
     if element != "vertex" or not columns or points < 0:
-        raise BadAnswer(f"the answer is a PLY of {count} {element}, {len(columns)} properties")
+        raise InvalidResponseError(
+            f"the answer is a PLY of {count} {element}, {len(columns)} properties"
+        )
     return points, dtype

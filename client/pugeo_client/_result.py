@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pugeo_client._atomic import atomic_file
 from pugeo_client._ply import read_ply
-from pugeo_client.errors import BadAnswer, SourceError
+from pugeo_client.errors import InvalidResponseError, SourceError
 
 __all__ = ["Meta", "Result"]
 
@@ -106,7 +106,7 @@ class Result:
 
         Raises:
             SourceError: another extension, or a ``.ply`` of an answer that was none.
-            BadAnswer: the answer cannot be read.
+            InvalidResponseError: the answer cannot be read.
         """
         target = Path(path)
         suffix = target.suffix.lower()
@@ -136,14 +136,16 @@ class Result:
     def _arrays(self) -> dict[str, Any]:
         data = self.data if self.path is None else self.path.read_bytes()
         if data is None or self.format not in _READERS:
-            raise BadAnswer(f"arrays are read from ply, npz and npy, not from {self.format}")
+            raise InvalidResponseError(
+                f"arrays are read from ply, npz and npy, not from {self.format}"
+            )
         return _READERS[self.format](data)
 
 
 def _from_ply(data: bytes) -> dict[str, Any]:
     columns = read_ply(data)
     if not set(_COORDINATES) <= set(columns):
-        raise BadAnswer("the answer has no x, y, z")
+        raise InvalidResponseError("the answer has no x, y, z")
 
     def together(names: tuple[str, ...]) -> NDArray[Any] | None:
         present = [columns.pop(name) for name in names if name in columns]

@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """When to try again, and how long to wait before: pure functions, no clock and no sleep."""
 
-from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, PugeoError, StatusError
+from pugeo_client.errors import (
+    ConnectionFailedError,
+    DeadlineExceededError,
+    PugeoError,
+    StatusError,
+)
 
 __all__ = ["asked_to_come_again", "delay_before_retry", "may_succeed_later"]
 
@@ -66,4 +71,6 @@ def may_succeed_later(failure: PugeoError) -> bool:
     """Whether the same request may succeed at another time."""
     if isinstance(failure, StatusError):
         return failure.status in RETRIED_STATUS and failure.retryable is not False
-    return isinstance(failure, ConnectionFailed) and not isinstance(failure, DeadlineExceeded)
+    return isinstance(failure, ConnectionFailedError) and not isinstance(
+        failure, DeadlineExceededError
+    )

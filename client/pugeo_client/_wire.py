@@ -13,7 +13,7 @@ from typing import Any, TypedDict
 from pugeo_client._result import Meta
 from pugeo_client._source import Body, Source, body_of
 from pugeo_client._version import __version__
-from pugeo_client.errors import BadAnswer, SourceError
+from pugeo_client.errors import InvalidResponseError, SourceError
 
 __all__ = [
     "Options",
@@ -143,12 +143,12 @@ def read_json(body: bytes | None) -> Any:
     """Read a JSON answer.
 
     Raises:
-        BadAnswer: it is none.
+        InvalidResponseError: it is none.
     """
     try:
         return json.loads(body or b"")
     except ValueError as error:
-        raise BadAnswer(f"the answer is no JSON: {error}") from error
+        raise InvalidResponseError(f"the answer is no JSON: {error}") from error
 
 
 def meta_of(headers: Mapping[str, str]) -> Meta:

@@ -3,24 +3,24 @@
 
 PugeoError
 |- SourceError               what was handed over cannot be sent (also a ValueError)
-|- ConnectionFailed          no answer: refused, reset, unknown host
-|  `- DeadlineExceeded       the call's own `timeout` ran out (also a TimeoutError)
-|- BadAnswer                 the answer is not what its headers promise
+|- ConnectionFailedError          no answer: refused, reset, unknown host
+|  `- DeadlineExceededError       the call's own `timeout` ran out (also a TimeoutError)
+|- InvalidResponseError                 the answer is not what its headers promise
 `- StatusError               the service answered with an error (problem+json)
-   |- BadRequest        400  the file breaks its own format
-   |- Unauthorized      401  missing or unknown API key
-   |- Forbidden         403
-   |- NotFound          404
-   |- NotAcceptable     406  no such answer format
-   |- Conflict          409
-   |- Gone              410  a job was cancelled, or its result is deleted
-   |- TooLarge          413  larger than a limit of the service; `fields` names it
-   |- UnsupportedFormat 415  not a point cloud format the service reads
-   |- Unprocessable     422  an option out of range, or a cloud without a surface
-   |- TooManyRequests   429  your share is used up; `retry_after` says for how long
+   |- BadRequestError        400  the file breaks its own format
+   |- UnauthorizedError      401  missing or unknown API key
+   |- ForbiddenError         403
+   |- NotFoundError          404
+   |- NotAcceptableError     406  no such answer format
+   |- ConflictError          409
+   |- GoneError              410  a job was cancelled, or its result is deleted
+   |- TooLargeError          413  larger than a limit of the service; `fields` names it
+   |- UnsupportedFormatError 415  not a point cloud format the service reads
+   |- UnprocessableError     422  an option out of range, or a cloud without a surface
+   |- TooManyRequestsError   429  your share is used up; `retry_after` says for how long
    `- ServerError       5xx
-      |- Unavailable    503  queue full, draining, or no worker; `retry_after` as above
-      `- ServerDeadline 504  the service's own deadline ran out
+      |- UnavailableError    503  queue full, draining, or no worker; `retry_after` as above
+      `- ServerDeadlineError 504  the service's own deadline ran out
 """
 
 import json
@@ -28,26 +28,26 @@ from collections.abc import Mapping
 from typing import Any
 
 __all__ = [
-    "BadAnswer",
-    "BadRequest",
-    "Conflict",
-    "ConnectionFailed",
-    "DeadlineExceeded",
-    "Forbidden",
-    "Gone",
-    "NotAcceptable",
-    "NotFound",
+    "BadRequestError",
+    "ConflictError",
+    "ConnectionFailedError",
+    "DeadlineExceededError",
+    "ForbiddenError",
+    "GoneError",
+    "InvalidResponseError",
+    "NotAcceptableError",
+    "NotFoundError",
     "PugeoError",
-    "ServerDeadline",
+    "ServerDeadlineError",
     "ServerError",
     "SourceError",
     "StatusError",
-    "TooLarge",
-    "TooManyRequests",
-    "Unauthorized",
-    "Unavailable",
-    "Unprocessable",
-    "UnsupportedFormat",
+    "TooLargeError",
+    "TooManyRequestsError",
+    "UnauthorizedError",
+    "UnavailableError",
+    "UnprocessableError",
+    "UnsupportedFormatError",
 ]
 
 
@@ -59,15 +59,15 @@ class SourceError(PugeoError, ValueError):
     """What was handed over is no point cloud that can be sent."""
 
 
-class ConnectionFailed(PugeoError):
+class ConnectionFailedError(PugeoError):
     """The service gave no answer."""
 
 
-class DeadlineExceeded(ConnectionFailed, TimeoutError):
+class DeadlineExceededError(ConnectionFailedError, TimeoutError):
     """The call's total ``timeout`` ran out, retries and waits between them included."""
 
 
-class BadAnswer(PugeoError):
+class InvalidResponseError(PugeoError):
     """The service's answer is truncated or not of the format that its headers promise."""
 
 
@@ -107,47 +107,47 @@ class StatusError(PugeoError):
         self.fields: dict[str, Any] = dict(fields or {})
 
 
-class BadRequest(StatusError):
+class BadRequestError(StatusError):
     """400: the bytes break the rules of their own format."""
 
 
-class Unauthorized(StatusError):
+class UnauthorizedError(StatusError):
     """401: an API key is needed, or this one is not known."""
 
 
-class Forbidden(StatusError):
+class ForbiddenError(StatusError):
     """403: not allowed with this key."""
 
 
-class NotFound(StatusError):
+class NotFoundError(StatusError):
     """404: no such route, job or model."""
 
 
-class NotAcceptable(StatusError):
+class NotAcceptableError(StatusError):
     """406: the service writes no such format."""
 
 
-class Conflict(StatusError):
+class ConflictError(StatusError):
     """409: at odds with the state of the thing asked for."""
 
 
-class Gone(StatusError):
+class GoneError(StatusError):
     """410: the job was cancelled, or its result is deleted."""
 
 
-class TooLarge(StatusError):
+class TooLargeError(StatusError):
     """413: larger than a stated limit of the service."""
 
 
-class UnsupportedFormat(StatusError):
+class UnsupportedFormatError(StatusError):
     """415: no reader for this content."""
 
 
-class Unprocessable(StatusError):
+class UnprocessableError(StatusError):
     """422: an option out of its range, or a cloud that the method cannot treat."""
 
 
-class TooManyRequests(StatusError):
+class TooManyRequestsError(StatusError):
     """429: the caller's share is used up for now."""
 
 
@@ -155,28 +155,28 @@ class ServerError(StatusError):
     """Any 5xx."""
 
 
-class Unavailable(ServerError):
+class UnavailableError(ServerError):
     """503: the queue is full, the service is draining, or no worker is ready."""
 
 
-class ServerDeadline(ServerError):
+class ServerDeadlineError(ServerError):
     """504: the service gave up within its own deadline."""
 
 
 _BY_STATUS: dict[int, type[StatusError]] = {
-    400: BadRequest,
-    401: Unauthorized,
-    403: Forbidden,
-    404: NotFound,
-    406: NotAcceptable,
-    409: Conflict,
-    410: Gone,
-    413: TooLarge,
-    415: UnsupportedFormat,
-    422: Unprocessable,
-    429: TooManyRequests,
-    503: Unavailable,
-    504: ServerDeadline,
+    400: BadRequestError,
+    401: UnauthorizedError,
+    403: ForbiddenError,
+    404: NotFoundError,
+    406: NotAcceptableError,
+    409: ConflictError,
+    410: GoneError,
+    413: TooLargeError,
+    415: UnsupportedFormatError,
+    422: UnprocessableError,
+    429: TooManyRequestsError,
+    503: UnavailableError,
+    504: ServerDeadlineError,
 }
 _KNOWN = {"type", "title", "status", "detail", "instance", "code", "request_id", "retryable"}
 _PROXY_PAGE_CHARS = 200  # enough of a foreign error page to recognise who sent it

@@ -45,9 +45,9 @@ class Job(Told):
 
         Raises:
             StatusError: it failed (the error that `Client.upsample` would have raised), or was
-                cancelled or deleted (``Gone``).
-            DeadlineExceeded: it did not end within ``timeout``; it goes on.
-            ConnectionFailed: the service was gone for minutes.
+                cancelled or deleted (``GoneError``).
+            DeadlineExceededError: it did not end within ``timeout``; it goes on.
+            ConnectionFailedError: the service was gone for minutes.
         """
         watch = Watch(timeout, on_progress)
         while True:

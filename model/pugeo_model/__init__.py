@@ -3,21 +3,21 @@
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import (
-    BadOption,
+    BadOptionError,
     CloudError,
-    LimitExceeded,
-    MalformedFile,
-    UnsupportedFormat,
-    UntreatableCloud,
+    LimitExceededError,
+    MalformedFileError,
+    UnsupportedFormatError,
+    UntreatableCloudError,
 )
 
 __all__ = [
-    "BadOption",
+    "BadOptionError",
     "Cloud",
     "CloudError",
-    "LimitExceeded",
-    "MalformedFile",
-    "UnsupportedFormat",
-    "UntreatableCloud",
+    "LimitExceededError",
+    "MalformedFileError",
+    "UnsupportedFormatError",
+    "UntreatableCloudError",
 ]
 __version__ = "0.1.0"

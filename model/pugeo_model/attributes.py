@@ -9,18 +9,18 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 
-__all__ = ["NEIGHBOURS", "carry"]
+__all__ = ["NEIGHBOURS", "transfer_attributes"]
 
 NEIGHBOURS = 3
-"""Source points that a colour or a continuous quantity is averaged over."""
+"""Source points that a colour or a continuous quantity is neighbour_mean over."""
 
 _BLOCK_ROWS = 65_536
 
 
-def carry(
+def transfer_attributes(
     source: Cloud, targets: NDArray[np.float64], nearest: NDArray[np.integer[Any]] | None = None
 ) -> tuple[NDArray[np.uint8] | None, dict[str, NDArray[Any]]]:
-    """Give new points what the source points carry.
+    """Give new points what the source points transfer_attributes.
 
     Colours and floating point scalars are the mean over the three nearest source points,
     weighted by inverse distance; a target on a source point takes that one's value. Values that

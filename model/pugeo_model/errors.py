@@ -2,22 +2,22 @@
 """What can be wrong with an input.
 
 CloudError
-|- MalformedFile        the bytes are not what they claim to be
-|- UnsupportedFormat    no reader or writer of that name or content
-|- LimitExceeded        larger than the stated limit
-|- UntreatableCloud     a valid file whose points the method cannot treat
-`- BadOption            an option out of its range
+|- MalformedFileError        the bytes are not what they claim to be
+|- UnsupportedFormatError    no reader or writer of that name or content
+|- LimitExceededError        larger than the stated limit
+|- UntreatableCloudError     a valid file whose points the method cannot treat
+`- BadOptionError            an option out of its range
 """
 
 from typing import Any
 
 __all__ = [
-    "BadOption",
+    "BadOptionError",
     "CloudError",
-    "LimitExceeded",
-    "MalformedFile",
-    "UnsupportedFormat",
-    "UntreatableCloud",
+    "LimitExceededError",
+    "MalformedFileError",
+    "UnsupportedFormatError",
+    "UntreatableCloudError",
 ]
 
 
@@ -43,31 +43,31 @@ class CloudError(ValueError):
         return _rebuild, (type(self), self.message, self.code, self.fields)
 
 
-class MalformedFile(CloudError):
+class MalformedFileError(CloudError):
     """The bytes break the rules of their own format."""
 
     code = "malformed_file"
 
 
-class UnsupportedFormat(CloudError):
+class UnsupportedFormatError(CloudError):
     """No reader or writer for this content or name."""
 
     code = "unsupported_format"
 
 
-class LimitExceeded(CloudError):
+class LimitExceededError(CloudError):
     """Larger than a stated limit; ``fields`` name it, its bound and the value met."""
 
     code = "limit_exceeded"
 
 
-class UntreatableCloud(CloudError):
+class UntreatableCloudError(CloudError):
     """The file is well formed, but its points span no surface (too few, all on one line)."""
 
     code = "untreatable_cloud"
 
 
-class BadOption(CloudError):
+class BadOptionError(CloudError):
     """An option outside its range; ``fields`` name it."""
 
     code = "bad_option"

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.errors import UntreatableCloud
+from pugeo_model.errors import UntreatableCloudError
 
-__all__ = ["FEWEST", "Placement", "normalise"]
+__all__ = ["FEWEST", "Normalisation", "normalise"]
 
 FEWEST = 8
 """Points without which no neighbourhood has a curvature."""
@@ -18,7 +18,7 @@ _THIN = 1e-5  # second extent over first below which points count as lying on a 
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class Normalisation:
     """Where the cloud lay: ``world = scale * unit + offset``.
 
     Attributes:
@@ -42,17 +42,17 @@ class Placement:
         return placed
 
 
-def normalise(points: NDArray[Any]) -> tuple[NDArray[np.float64], Placement]:
+def normalise(points: NDArray[Any]) -> tuple[NDArray[np.float64], Normalisation]:
     """Centre on the bounding box and scale its longest side to 1.
 
     Args:
         points: ``(M, 3)``, finite and distinct.
 
     Raises:
-        UntreatableCloud: fewer than 8 points, or all on one line.
+        UntreatableCloudError: fewer than 8 points, or all on one line.
     """
     if len(points) < FEWEST:
-        raise UntreatableCloud(
+        raise UntreatableCloudError(
             f"{len(points)} distinct finite points are left; at least {FEWEST} are needed",
             code="too_few_points",
             limit=FEWEST,
@@ -65,7 +65,7 @@ def normalise(points: NDArray[Any]) -> tuple[NDArray[np.float64], Placement]:
     unit = (points.astype(np.float64) - offset) / scale
     values = np.linalg.eigvalsh(np.cov(unit.T))
     if values[1] < _THIN**2 * values[2]:
-        raise UntreatableCloud(
+        raise UntreatableCloudError(
             "all points lie on one line: they span no surface", code="collinear_points"
         )
-    return unit, Placement(offset, scale, points.dtype)
+    return unit, Normalisation(offset, scale, points.dtype)

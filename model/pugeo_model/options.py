@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.orient.methods import METHODS
 
 __all__ = ["MOST", "Options", "refuse"]
@@ -30,7 +30,7 @@ class Options:
             points stay that fit into an even spread.
 
     Raises:
-        BadOption: a value out of range; its ``fields`` name it.
+        BadOptionError: a value out of range; its ``fields`` name it.
     """
 
     ratio: float = 4.0
@@ -64,7 +64,7 @@ class Options:
 
 
 def refuse(name: str, value: Any, wanted: str, **fields: Any) -> NoReturn:
-    """Raise a `BadOption` that says what would be right."""
-    raise BadOption(
+    """Raise a `BadOptionError` that says what would be right."""
+    raise BadOptionError(
         f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields
     )

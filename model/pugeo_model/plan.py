@@ -1,51 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cloud is between the stages of its way: a plan, jobs, pieces, the result."""
+"""The plan of a run: the cleaned, normalised cloud and the tiles that it is cut into."""
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.frames import Frames
-from pugeo_model.geometry.patches import Patch
-from pugeo_model.normalise import Placement
-from pugeo_model.options import Options
-from pugeo_model.orient.across_tiles import Sides
-from pugeo_model.resample.seams import Rim
-from pugeo_model.tiles import Cut, Tile
+from pugeo_model.normalise import Normalisation, normalise
+from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.orient.methods import resolve_method
+from pugeo_model.tiles import Tile, TileSpec, plan_tiles
+from pugeo_model.tuning import TUNING
 
-__all__ = ["Agreed", "Border", "Job", "Piece", "Plan", "Result"]
-
-_OVERSAMPLE = 1.5  # candidates a point wanted
-_FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
+__all__ = ["Plan", "make_plan"]
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A cloud that is known to be usable, and how it is cut.
+    """A cloud that is known to be usable, and its tiles.
 
     Attributes:
         cloud: the cleaned input.
         points: ``(M, 3)`` float64, unit scale.
-        placement: offset and scale taken out.
+        normalisation: offset and scale taken out.
         centroid: ``(3,)``, unit scale.
-        cuts: the tiles, see :mod:`pugeo_model.tiles`.
-        noise, spacing: of the whole cloud, ``None`` where the only tile finds out by itself.
+        tile_specs: rows and sizes of the tiles, see :mod:`pugeo_model.tiles`.
+        noise, spacing: of the whole cloud, ``None`` where its only tile measures them.
         options: as asked for.
         orient: the method that gives normals their signs, never ``auto``.
         n_out: points of the answer.
-        report: what happened, JSON-able.
+        report: counts and notes so far, JSON-able.
     """
 
     cloud: Cloud
     points: NDArray[np.float64]
-    placement: Placement
+    normalisation: Normalisation
     centroid: NDArray[np.float64]
-    cuts: list[Cut]
+    tile_specs: list[TileSpec]
     noise: float | None
     spacing: float | None
     options: Options
@@ -61,34 +57,34 @@ class Plan:
     @property
     def tiles_in_order(self) -> bool:
         """Whether the answer is the tiles' points one after the other."""
-        return len(self.cuts) == 1 or not self.keeps_input
+        return len(self.tile_specs) == 1 or not self.keeps_input
 
-    def told(self, noise: float) -> dict[str, Any]:
-        """The report, with the noise of a cloud in one piece."""
+    def final_report(self, noise: float) -> dict[str, Any]:
+        """The report, with ``noise`` where a single tile measured it."""
         return {**self.report, "noise": noise if self.noise is None else self.noise}
 
     @property
     def tiles(self) -> Iterator[Tile]:
         """The tiles, each made when its turn comes."""
-        return map(self.tile, range(len(self.cuts)))
+        return map(self.tile, range(len(self.tile_specs)))
 
     def tile(self, number: int) -> Tile:
-        """Return a tile with all that it needs on its way."""
-        cut = self.cuts[number]
-        whole = len(self.cuts) == 1
-        wanted = math.ceil(_OVERSAMPLE * self.n_out / len(self.points))
+        """Return a tile with all data that it needs."""
+        spec = self.tile_specs[number]
+        whole = len(self.tile_specs) == 1
+        wanted = math.ceil(TUNING.oversampling * self.n_out / len(self.points))
         return Tile(
-            cloud=self.cloud if whole else self.cloud.take(cut.rows),
-            points=self.points if whole else self.points[cut.rows],
-            rows=cut.rows,
-            core=cut.core,
-            charted=cut.charted,
-            n_out=cut.n_out,
-            candidates=max(_FEWEST_CANDIDATES, wanted),
+            cloud=self.cloud if whole else self.cloud.take(spec.rows),
+            points=self.points if whole else self.points[spec.rows],
+            rows=spec.rows,
+            core=spec.core,
+            charted=spec.charted,
+            n_out=spec.n_out,
+            candidates=max(TUNING.fewest_candidates, wanted),
             keeps_input=self.keeps_input,
             noise=self.noise,
             spacing=self.spacing,
-            placement=self.placement,
+            normalisation=self.normalisation,
             orient=self.orient,
             viewpoint=self.options.viewpoint,
             centroid=self.centroid,
@@ -96,96 +92,57 @@ class Plan:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
-    """A prepared tile.
+def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
+    """Clean and normalise a cloud, and cut it into tiles.
 
-    Attributes:
-        tile: what it was made of.
-        cloud: its input points, rows in the order of the patches.
-        order: ``(M,)`` int32, the row of the tile that each is.
-        core: ``(M,)`` which of them are the core's.
-        points: ``(M, 3)`` float64, unit scale.
-        neighbours: ``(M, 32)`` int32, nearest first.
-        frames: one a point.
-        share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.areas`.
-        patches: the units of work; their cores partition the points that get charts.
-        noise: of the input as it came, see `noise_level`.
-        denoised: the points are where those of a noisy input landed.
+    Args:
+        cloud: the input.
+        options: of the caller.
+        tile_size: input points of a tile at most; chosen by the size of its answer if ``None``.
+
+    Raises:
+        UntreatableCloudError: the points left after cleaning span no surface.
+        BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` asks for
+            data that the cloud does not have.
     """
-
-    tile: Tile
-    cloud: Cloud
-    order: NDArray[np.int32]
-    core: NDArray[np.bool_]
-    points: NDArray[np.float64]
-    neighbours: NDArray[np.int32]
-    frames: Frames
-    share: NDArray[np.float64]
-    patches: list[Patch]
-    noise: float
-    denoised: bool = False
-
-    @property
-    def candidates(self) -> int:
-        """Candidates a chart."""
-        return self.tile.candidates
-
-    @property
-    def nothing_new(self) -> bool:
-        """Whether the answer is the input points, with normals."""
-        return self.tile.keeps_input and self.tile.n_out == self.tile.core
-
-
-@dataclass(frozen=True, eq=False)
-class Border:
-    """What tiles have to know of each other: little, so that only it travels.
-
-    Attributes:
-        sides: what the tile knows of the signs of its normals, ``None`` where these are final.
-        rim: the points next to other tiles, ``None`` of a cloud in one piece.
-    """
-
-    sides: Sides | None
-    rim: Rim | None
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """The dense points of a tile's core.
-
-    Attributes:
-        cloud: in the cloud's own frame and units.
-        parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
-            signs are final.
-        border: what the other tiles have to know of it.
-        noise: of its input, see `noise_level`.
-        placement: of the cloud.
-    """
-
-    cloud: Cloud
-    parts: NDArray[np.integer[Any]] | None
-    border: Border
-    noise: float
-    placement: Placement
-
-
-@dataclass(frozen=True, eq=False)
-class Agreed:
-    """What a tile is told once all know of each other.
-
-    Attributes:
-        signs: of its parts, ``None`` where its normals are final.
-        rim: ``(k, 3)`` where the points of its rim lie, unit scale; ``None`` where they stay.
-    """
-
-    signs: NDArray[np.float64] | None
-    rim: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """The dense cloud and the report on its making."""
-
-    cloud: Cloud
-    report: dict[str, Any]
+    cleaned, dropped = clean(cloud)
+    points, normalisation = normalise(cleaned.points)
+    count = len(points)
+    n_out = options.points_out(count)
+    if not count <= n_out <= MOST * count:
+        refuse(
+            "n_points",
+            n_out,
+            f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
+            limit=[count, int(MOST) * count],
+        )
+    specs, noise, typical = plan_tiles(points, n_out, tile_size)
+    if noise is not None and noise > TUNING.noisy and not options.keeps_points(count):
+        # Points of the core lean on those of the margin, so the margin is denoised as well.
+        specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
+    given = cleaned.normals is not None
+    method = resolve_method(options.orient, options.viewpoint, has_normals=given)
+    report = {
+        "points_in": len(cloud),
+        "points_used": count,
+        "points_out": n_out,
+        "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
+        "patches": sum(spec.patches for spec in specs),
+        "tiles": len(specs),
+        "ratio": n_out / count,
+        "orient": method,
+        "notes": list(cleaned.notes),
+    }
+    return Plan(
+        cloud=cleaned,
+        points=points,
+        normalisation=normalisation,
+        centroid=points.mean(axis=0),
+        tile_specs=specs,
+        noise=noise,
+        spacing=typical,
+        options=options,
+        orient=method,
+        n_out=n_out,
+        report=report,
+    )

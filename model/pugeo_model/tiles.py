@@ -8,39 +8,34 @@ to its core is kept. A cloud that is small enough is one tile without a margin.
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.aabb import corners, inside
+from pugeo_model.geometry.aabb import bounds, rows_inside
 from pugeo_model.geometry.frames import noise_level, rough_residuals
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
-from pugeo_model.geometry.partition import PATCH_SIZE, chunks
-from pugeo_model.normalise import Placement
+from pugeo_model.geometry.partition import PATCH_SIZE, partition
+from pugeo_model.normalise import Normalisation
+from pugeo_model.tuning import TUNING
 
-__all__ = ["Cut", "Tile", "cut_tiles"]
+__all__ = ["NoisyInput", "Tile", "TileSpec", "plan_tiles"]
 
 _POINTS_OUT = 3 << 16  # of a tile's core: what a worker holds at one time
 _FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core: a quarter more to save a tile
 # A cloud this much larger than a core stays in one piece: margins would cost more than they save.
 # Nor is one tile more made for a small rest.
 _WHOLE = 1.5
-# In spacings: that far the blend of charts, and their messages, reach in effect. On validation
-# shapes in tiles of 1,250 points 4 to 8 make no difference. What even so comes too close to a point
-# of another tile is parted in the end, see `finish.seams`.
-_MARGIN = 6.5
-# In spacings: that far from the core points of the margin get charts and candidates. What is beyond
-# only lends its place and its features.
-_CHARTED = 3.0
 _SAMPLED = 2048  # points at which a tile's noise is measured
 _SPACED = 512  # and the spacing by which its margin is wide
 _SURVEYED = 8  # tiles in which the noise is measured
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class TileSpec:
     """Which points make up a tile.
 
     Attributes:
@@ -61,6 +56,19 @@ class Cut:
         return -(-self.charted // PATCH_SIZE)
 
 
+@dataclass(frozen=True)
+class NoisyInput:
+    """Measurements of a noisy input before its points were moved.
+
+    Attributes:
+        noise: in spacings, see `noise_level`.
+        median_spacing: float32, unit scale.
+    """
+
+    noise: float
+    median_spacing: np.floating[Any]
+
+
 @dataclass(frozen=True, eq=False)
 class Tile:
     """Part of a cloud, ready to go its way.
@@ -77,11 +85,12 @@ class Tile:
         noise: of the whole cloud, see `noise_level`, or ``None`` where the tile is to find out by
             itself: it is the whole, or was denoised.
         spacing: that half of the whole cloud's points have at most, or ``None`` of the whole.
-        placement: offset and scale taken out.
+        normalisation: offset and scale taken out.
         orient: how normals get their signs, never ``auto``.
         viewpoint: in the cloud's own frame and units.
         centroid: ``(3,)`` of the whole cloud, unit scale.
         seed: decides between points that are as good as each other.
+        noisy: measurements of the input as it came, where ``points`` were denoised.
     """
 
     cloud: Cloud
@@ -94,16 +103,17 @@ class Tile:
     keeps_input: bool
     noise: float | None
     spacing: float | None
-    placement: Placement
+    normalisation: Normalisation
     orient: str
     viewpoint: tuple[float, float, float] | None
     centroid: NDArray[np.float64]
     seed: int
+    noisy: NoisyInput | None = None
 
 
-def cut_tiles(
+def plan_tiles(
     points: NDArray[np.float64], n_out: int, size: int | None = None
-) -> tuple[list[Cut], float | None, float | None]:
+) -> tuple[list[TileSpec], float | None, float | None]:
     """Cut a cloud into tiles.
 
     Args:
@@ -120,12 +130,14 @@ def cut_tiles(
         size = min(max(_POINTS_OUT * count // n_out, _FEWEST), _MOST)
         size = max(size, -(-count // max(1, round(count / size))))
     if count <= _WHOLE * size:
-        return [Cut(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
-    cores = chunks(points, size)
+        return [TileSpec(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
+    cores = partition(points, size)
     margins = _margins(points, cores)
     ends = [n_out * at // count for at in np.cumsum([0] + [len(core) for core in cores]).tolist()]
     cuts = [
-        Cut(np.concatenate([core, *margin]), len(core), len(core) + len(margin[0]), stop - start)
+        TileSpec(
+            np.concatenate([core, *margin]), len(core), len(core) + len(margin[0]), stop - start
+        )
         for core, margin, (start, stop) in zip(
             cores, margins, itertools.pairwise(ends), strict=True
         )
@@ -137,25 +149,26 @@ def _margins(
     points: NDArray[np.float64], cores: list[NDArray[np.int32]]
 ) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
     """Rows of the points next to each core, and of those beyond that are within its reach."""
-    boxes = np.array([corners(points, core) for core in cores])
+    boxes = np.array([bounds(points, core) for core in cores])
     low, high = boxes[:, 0], boxes[:, 1]
     found = []
     for tile, core in enumerate(cores):
         # Built in half the time, and no slower for so few questions.
         tree = cKDTree(points[core], leafsize=32, balanced_tree=False, compact_nodes=False)
         typical = _typical_spacing(tree)
-        width = _MARGIN * typical
-        # First whatever is in the widened box, of those tiles whose boxes it touches.
+        width = TUNING.margin * typical
+        # First whatever is in the to_float32 box, of those tiles whose boxes it touches.
         reach_low, reach_high = low[tile] - width, high[tile] + width
         touched = ((low <= reach_high) & (high >= reach_low)).all(axis=1)
         touched[tile] = False
         around = [np.empty(0, dtype=np.int32)]
         around += [
-            inside(points, cores[other], reach_low, reach_high) for other in np.flatnonzero(touched)
+            rows_inside(points, cores[other], reach_low, reach_high)
+            for other in np.flatnonzero(touched)
         ]
         boxed = np.concatenate(around)
         apart, _ = tree.query(points[boxed], distance_upper_bound=width)
-        near = apart < _CHARTED * typical
+        near = apart < TUNING.charted_margin * typical
         found.append((boxed[near], boxed[~near & np.isfinite(apart)]))
     return found
 
@@ -167,7 +180,7 @@ def _typical_spacing(tree: cKDTree) -> float:
     return float(np.quantile(distances[:, 1:].mean(axis=1), 0.9))
 
 
-def _noise_and_spacing(points: NDArray[np.float64], cuts: list[Cut]) -> tuple[float, float]:
+def _noise_and_spacing(points: NDArray[np.float64], cuts: list[TileSpec]) -> tuple[float, float]:
     """The noise of a cloud and its typical spacing, by points of some tiles."""
     residuals, spacings = [], []
     for cut in cuts:

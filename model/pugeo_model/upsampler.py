@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole way of a cloud in one process."""
+"""Upsampling in one process."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,34 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.assembly import Result, assemble
 from pugeo_model.cloud import Cloud
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options
-from pugeo_model.pipeline import (
-    Job,
-    Piece,
-    Plan,
-    Result,
-    assemble,
-    denoise,
-    finish,
-    land,
-    merge,
-    noisy,
-    own_spots,
-    predict,
-    prepare,
-    propose,
-    survey,
-)
-from pugeo_model.resample.atlas import Landed, Landing, PatchCharts
-from pugeo_model.tiles import Cut, Tile
+from pugeo_model.pipeline import LocalStages, run_here, upsample_tile
+from pugeo_model.plan import Plan, make_plan
 
 __all__ = ["Upsampler"]
 
 
 class Upsampler:
-    """The whole way in one process.
+    """A loaded network that upsamples clouds in this process.
 
     Args:
         weights: name of released weights, or the path of a ``.safetensors`` file.
@@ -62,7 +46,7 @@ class Upsampler:
 
         Args:
             cloud: a cloud, or points ``(M, 3)``.
-            progress: called with a stage's name, and how many of the cloud's patches it has done.
+            progress: called with the name of a stage, the patches done, and all patches.
 
         Raises:
             CloudError: the cloud or an option cannot be used.
@@ -70,56 +54,26 @@ class Upsampler:
         if not isinstance(cloud, Cloud):
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        return self.upsample(survey(cloud, options), progress)
+        return self.upsample(make_plan(cloud, options), progress)
 
     def upsample(
         self, plan: Plan, progress: Callable[[str, int, int], None] | None = None
     ) -> Result:
-        """Upsample a cloud that was surveyed; ``progress`` as in ``__call__``."""
-        total, before = plan.report["patches"], 0
-        pieces = []
-        for tile, cut in zip(plan.tiles, plan.cuts, strict=True):
+        """Upsample a planned cloud; ``progress`` as in ``__call__``."""
+        total, done = plan.report["patches"], 0
 
-            def tell(
-                stage: str, share: float = 0.0, *, start: int = before, cut: Cut = cut
-            ) -> None:
-                if progress:
-                    progress(stage, start + int(share * cut.patches), total)
+        def tell(stage: str, share: float) -> None:
+            if progress:
+                progress(stage, done + int(share * spec.patches), total)
 
-            pieces.append(self._piece(tile, tell))
-            before += cut.patches
-            if len(plan.cuts) > 1:
-                # What tiles leave free between the pieces that stay would add up.
+        stages, tiles = LocalStages(self.model, tell), []
+        for tile, spec in zip(plan.tiles, plan.tile_specs, strict=True):
+            tiles.append(run_here(upsample_tile(stages, tile)))
+            done += spec.patches
+            if len(plan.tile_specs) > 1:
+                # The memory that each tile leaves free between surviving blocks would add up.
                 give_back_freed_memory()
-        result = assemble(plan, pieces)
+        result = assemble(plan, tiles)
         if progress:
             progress("finish", total, total)
         return result
-
-    def _piece(self, tile: Tile, tell: Callable[..., None]) -> Piece:
-        def charted(job: Job) -> list[PatchCharts]:
-            done: list[PatchCharts] = []
-            for patch in job.patches:
-                tell("network", len(done) / len(job.patches))
-                done.append(predict(self.model, patch, job.candidates))
-            return done
-
-        def landed(landing: Landing) -> Landed:
-            tell("land")
-            return land(self.model, landing)
-
-        tell("prepare")
-        job = prepare(tile)
-        charts = charted(job)
-        if noisy(job):
-            tell("denoise")
-            again = denoise(job, land(self.model, own_spots(job, charts)))
-            if again is not job:
-                job = again
-                charts = charted(job)
-        tell("propose")
-        candidates = landed(propose(job, charts))
-        tell("merge")
-        points = landed(merge(job, charts, candidates))
-        tell("finish")
-        return finish(job, points)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 
 if TYPE_CHECKING:
     from pugeo_model.network.model import Model
@@ -25,13 +25,13 @@ def locate(name_or_path: str | Path) -> Path:
     """Path of the ``.safetensors`` file of released or own weights.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
         path = _RELEASED / f"{name_or_path}.safetensors"
     if not path.is_file():
-        raise BadOption(
+        raise BadOptionError(
             f"no weights {str(name_or_path)!r}: give one of {', '.join(available()) or 'none'}"
             " or the path of a .safetensors file with its card beside it",
             code="unknown_model",
@@ -45,7 +45,7 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     """The model card of released or own weights, with the weights' ``sha256``.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     path = locate(name_or_path)
     card: dict[str, Any] = json.loads(path.with_suffix(".json").read_text("utf-8"))
@@ -57,7 +57,7 @@ def load(name_or_path: str | Path = "standard") -> "Model":
     """Rebuild the network of a card and fill in its weights.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     from safetensors.torch import load_file
 
@@ -74,14 +74,14 @@ def start_from(net: Any, name_or_path: str | Path) -> None:
     """Fill a network in with weights of its own architecture, to train on from them.
 
     Raises:
-        BadOption: no such weights, or they are of another architecture.
+        BadOptionError: no such weights, or they are of another architecture.
     """
     from safetensors.torch import load_file
 
     made = read_card(name_or_path)["architecture"]
     wanted = net.architecture.to_json()
     if made != wanted:
-        raise BadOption(
+        raise BadOptionError(
             f"{str(name_or_path)!r} has the architecture {made}, the recipe {wanted}",
             value=str(name_or_path),
         )
@@ -89,7 +89,7 @@ def start_from(net: Any, name_or_path: str | Path) -> None:
         net.load_state_dict(load_file(locate(name_or_path)))
     except RuntimeError as error:
         # What a message or a point tells the network is no matter of its architecture.
-        raise BadOption(
+        raise BadOptionError(
             f"{str(name_or_path)!r} is of another version of this network: {error}",
             value=str(name_or_path),
         ) from None

@@ -37,7 +37,7 @@ def create_service(settings: Settings) -> Service:
     """Put together what the routes share; starts nothing.
 
     Raises:
-        BadOption: there are no weights of that name.
+        BadOptionError: there are no weights of that name.
     """
     card = weights.read_card(settings.model)
     engine = Engine(settings)

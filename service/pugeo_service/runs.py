@@ -7,10 +7,10 @@ from typing import Any
 
 import structlog
 
-from pugeo_service.engine import DiskFailed, EngineLost, Order, Outcome, WorkerLost
+from pugeo_service.engine import DiskError, EngineLostError, Order, Outcome, WorkerLostError
 from pugeo_service.http.negotiation import DEFAULT, OFFERS, Offer, choose
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problem
 
@@ -23,7 +23,7 @@ def offer_of(headers: Mapping[str, str], wanted: str | None) -> Offer:
     """Choose the format of an answer by the headers of a request and its ``?format=``.
 
     Raises:
-        Problem: 406 or 422, as `choose`.
+        ProblemError: 406 or 422, as `choose`.
     """
     kind = headers.get("content-type", "").partition(";")[0].strip().lower()
     default = OFFERS["json"] if kind == "application/json" else DEFAULT
@@ -58,27 +58,27 @@ def engine_problems() -> Iterator[None]:
     """Turn what the engine raises within the block into problems.
 
     Raises:
-        Problem: 422 ``worker_lost`` or ``out_of_memory``: the cloud is too much for a worker;
+        ProblemError: 422 ``worker_lost`` or ``out_of_memory``: the cloud is too much for a worker;
             503 ``engine_lost``: the workers cannot be reached; 503 as `storage_problem`.
     """
     try:
         yield
-    except WorkerLost as error:
+    except WorkerLostError as error:
         _log.error("a cloud ended its workers", reason=str(error))
         detail = (
             "Working on this cloud ended the worker process every time, most likely because it "
             "ran out of memory. A smaller cloud or a lower R may work; the same will not."
         )
-        raise Problem(422, "worker_lost", detail, retryable=False) from error
-    except EngineLost as error:
+        raise ProblemError(422, "worker_lost", detail, retryable=False) from error
+    except EngineLostError as error:
         _log.error("the engine is gone", reason=str(error))
         detail = "The workers cannot be reached at the moment."
-        raise Problem(503, "engine_lost", detail, retry_after=5) from error
-    except DiskFailed as error:
+        raise ProblemError(503, "engine_lost", detail, retry_after=5) from error
+    except DiskError as error:
         raise storage_problem(error.error) from error
     except MemoryError as error:
         detail = "This cloud needs more memory than a worker has; send a smaller one or lower R."
-        raise Problem(422, "out_of_memory", detail, retryable=False) from error
+        raise ProblemError(422, "out_of_memory", detail, retryable=False) from error
 
 
 def count_run(telemetry: Telemetry, outcome: Outcome) -> None:

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from pugeo_client.errors import (
-    BadAnswer,
-    ConnectionFailed,
-    DeadlineExceeded,
+    ConnectionFailedError,
+    DeadlineExceededError,
+    InvalidResponseError,
     PugeoError,
     SourceError,
-    TooLarge,
-    Unavailable,
-    Unprocessable,
+    TooLargeError,
+    UnavailableError,
+    UnprocessableError,
 )
 
 Twin = Callable[..., Any]
@@ -127,7 +127,7 @@ def test_out_is_not_touched_by_an_error(twin: Twin, tmp_path: Path) -> None:
     """A failed call leaves the older file as it was, and no part of a new one."""
     out = tmp_path / "dense.ply"
     out.write_bytes(b"older")
-    with pytest.raises(Unprocessable):
+    with pytest.raises(UnprocessableError):
         twin(lambda client: client.upsample(b"ply\n", out=out), Played(problem(422)))
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]
 
@@ -148,7 +148,7 @@ def test_progress_counts_bytes_both_ways(twin: Twin, ply_bytes: bytes) -> None:
 def test_an_error_carries_what_the_service_said(twin: Twin) -> None:
     """The exception's class and fields are those of the problem; it is not tried again."""
     service = Played(problem(413, code="limit_exceeded", limit=7, request_id="abc"))
-    with pytest.raises(TooLarge) as caught:
+    with pytest.raises(TooLargeError) as caught:
         twin(lambda client: client.upsample(b"ply\n"), service)
     error = caught.value
     assert (error.code, error.fields, error.request_id) == ("limit_exceeded", {"limit": 7}, "abc")
@@ -185,7 +185,7 @@ def test_a_pipe_that_was_read_is_not_sent_again(twin: Twin) -> None:
     os.write(writer, b"ply\n")
     os.close(writer)
     service = Played(problem(503, retryable=True))
-    with os.fdopen(reader, "rb") as pipe, pytest.raises(Unavailable):
+    with os.fdopen(reader, "rb") as pipe, pytest.raises(UnavailableError):
         twin(lambda client: client.upsample(pipe), service)
     assert service.bodies == [b"ply\n"]
 
@@ -193,7 +193,7 @@ def test_a_pipe_that_was_read_is_not_sent_again(twin: Twin) -> None:
 def test_retries_end(twin: Any) -> None:
     """max_retries tries after the first, and then the last error."""
     service = Played(problem(503))
-    with pytest.raises(Unavailable):
+    with pytest.raises(UnavailableError):
         twin(lambda client: client.upsample(b"ply\n"), service, max_retries=2)
     assert (len(service.requests), len(twin.waits)) == (3, 2)
 
@@ -202,7 +202,7 @@ def test_retries_end(twin: Any) -> None:
 def test_a_wait_that_is_too_long_is_the_callers_matter(twin: Any, asked: str) -> None:
     """Nobody sleeps for a day inside a function call."""
     service = Played(problem(503, headers={"Retry-After": asked}))
-    with pytest.raises(Unavailable) as caught:
+    with pytest.raises(UnavailableError) as caught:
         twin(lambda client: client.upsample(b"ply\n"), service)
     assert caught.value.retry_after == float(asked)
     assert twin.waits == []
@@ -211,7 +211,7 @@ def test_a_wait_that_is_too_long_is_the_callers_matter(twin: Any, asked: str) ->
 def test_a_wait_past_the_deadline_is_not_begun(twin: Any) -> None:
     """With 5 s left, a service that asks for 60 s gets no second try."""
     service = Played(problem(503, headers={"Retry-After": "60"}))
-    with pytest.raises(Unavailable):
+    with pytest.raises(UnavailableError):
         twin(lambda client: client.upsample(b"ply\n", timeout=5), service)
     assert twin.waits == []
 
@@ -219,7 +219,7 @@ def test_a_wait_past_the_deadline_is_not_begun(twin: Any) -> None:
 def test_no_time_is_no_request(twin: Twin, ply_bytes: bytes) -> None:
     """A deadline that lies in the past ends the call before anything is sent."""
     service = Played(dense(ply_bytes))
-    with pytest.raises(DeadlineExceeded) as caught:
+    with pytest.raises(DeadlineExceededError) as caught:
         twin(lambda client: client.upsample(b"ply\n", timeout=0), service)
     assert isinstance(caught.value, TimeoutError)
     assert service.requests == []
@@ -227,7 +227,7 @@ def test_no_time_is_no_request(twin: Twin, ply_bytes: bytes) -> None:
 
 def test_transport_failures_are_ours(twin: Twin) -> None:
     """Nothing of the HTTP library reaches the caller; its error is the cause."""
-    with pytest.raises(ConnectionFailed) as caught:
+    with pytest.raises(ConnectionFailedError) as caught:
         twin(lambda client: client.upsample(b"ply\n"), Played(httpx2.ReadError("reset")))
     assert isinstance(caught.value.__cause__, httpx2.ReadError)
     service = Played(httpx2.LocalProtocolError("too little data"))
@@ -247,7 +247,7 @@ def test_a_bad_source_sends_nothing(twin: Twin) -> None:
 def test_an_answer_that_is_no_ply(twin: Twin) -> None:
     """A page with status 200 is found out when its points are asked for."""
     result = twin(lambda client: client.upsample(b"ply\n"), Played(dense(b"<html>")))
-    with pytest.raises(BadAnswer):
+    with pytest.raises(InvalidResponseError):
         _ = result.points
 
 
@@ -271,7 +271,7 @@ def test_map_raises_in_its_turn(twin: Twin) -> None:
     def service(request: httpx2.Request) -> httpx2.Response:
         return problem(422) if request.content == b"bad" else httpx2.Response(200)
 
-    with pytest.raises(Unprocessable):
+    with pytest.raises(UnprocessableError):
         twin(lambda client: client.map([b"good", b"bad", b"good"], concurrency=2), service)
 
 
@@ -285,7 +285,7 @@ def test_health(twin: Twin) -> None:
 
 def test_health_is_asked_once(twin: Any) -> None:
     """Whoever asks how a service is wants to know now, not after three retries."""
-    with pytest.raises(Unavailable):
+    with pytest.raises(UnavailableError):
         twin(lambda client: client.health(), Played(httpx2.Response(503, text="<html>")))
     assert twin.waits == []
 

@@ -9,13 +9,13 @@ import httpx2
 import pytest
 
 from pugeo_client.errors import (
-    ConnectionFailed,
-    DeadlineExceeded,
-    Gone,
-    NotFound,
+    ConnectionFailedError,
+    DeadlineExceededError,
+    GoneError,
+    NotFoundError,
     SourceError,
-    Unavailable,
-    Unprocessable,
+    UnavailableError,
+    UnprocessableError,
 )
 
 Twin = Callable[..., Any]
@@ -126,13 +126,13 @@ def test_wait_has_an_end(twin: Twin, monkeypatch: pytest.MonkeyPatch) -> None:
     """After `timeout` the call ends and the job goes on; a service gone for minutes is an error."""
     clock = iter(range(0, 100_000, 50))
     monkeypatch.setattr("pugeo_client._job.time.monotonic", lambda: float(next(clock)))
-    with pytest.raises(DeadlineExceeded):
+    with pytest.raises(DeadlineExceededError):
         twin(
             lambda client: then(client.job(ID), lambda job: job.wait(timeout=1000)),
             Played(told("running")),
             timeout=1e6,
         )
-    with pytest.raises(ConnectionFailed):
+    with pytest.raises(ConnectionFailedError):
         twin(
             lambda client: then(client.job(ID), lambda job: job.wait()),
             Played(told("running"), httpx2.ConnectError("refused")),
@@ -145,7 +145,7 @@ def test_a_failed_job_raises_its_problem(twin: Twin) -> None:
     why = {"status": 422, "code": "too_few_points", "detail": "why", "limit": 8, "request_id": "r"}
     service = Played(told("failed", problem=why))
     for call in ("wait", "result"):
-        with pytest.raises(Unprocessable) as caught:
+        with pytest.raises(UnprocessableError) as caught:
             twin(
                 lambda client, call=call: then(client.job(ID), lambda j: getattr(j, call)()),
                 service,
@@ -158,8 +158,8 @@ def test_a_failed_job_raises_its_problem(twin: Twin) -> None:
     ("state", "code"), [("cancelled", "job_cancelled"), ("expired", "result_gone")]
 )
 def test_a_job_without_a_result(twin: Twin, state: str, code: str) -> None:
-    """Waiting for one that was cancelled or has expired ends with `Gone`."""
-    with pytest.raises(Gone) as caught:
+    """Waiting for one that was cancelled or has expired ends with `GoneError`."""
+    with pytest.raises(GoneError) as caught:
         twin(lambda client: then(client.job(ID), lambda job: job.wait()), Played(told(state)))
     assert caught.value.code == code
 
@@ -196,7 +196,7 @@ def test_cancel(twin: Twin) -> None:
     job = twin(lambda client: then(client.job(ID), lambda job: job.cancel()), service)
     assert service.requests[-1].method == "DELETE"
     assert job.state == "cancelled"
-    assert isinstance(job.error, Gone)
+    assert isinstance(job.error, GoneError)
 
 
 def test_refresh(twin: Twin) -> None:
@@ -218,8 +218,8 @@ def test_jobs_turns_pages(twin: Twin) -> None:
 
 
 def test_a_job_that_is_not_there(twin: Twin) -> None:
-    """An unknown id is `NotFound`, at once."""
-    with pytest.raises(NotFound):
+    """An unknown id is `NotFoundError`, at once."""
+    with pytest.raises(NotFoundError):
         twin(lambda client: client.job("nothing"), Played(problem(404, "unknown_job")))
     assert twin.waits == []  # type: ignore[attr-defined]
 
@@ -227,7 +227,7 @@ def test_a_job_that_is_not_there(twin: Twin) -> None:
 def test_a_poll_that_will_not_pass(twin: Twin) -> None:
     """Waiting ends where the answer is no matter of time."""
     service = Played(told("running"), problem(404, "unknown_job"))
-    with pytest.raises(NotFound):
+    with pytest.raises(NotFoundError):
         twin(lambda client: then(client.job(ID), lambda job: job.wait()), service)
-    with pytest.raises(Unavailable):
+    with pytest.raises(UnavailableError):
         twin(lambda client: client.job(ID), Played(problem(503, "x")), max_retries=0)

@@ -7,7 +7,7 @@ import plyfile
 import pytest
 
 from pugeo_client._ply import read_ply
-from pugeo_client.errors import BadAnswer
+from pugeo_client.errors import InvalidResponseError
 
 
 def test_columns_agree_with_another_reader(ply_bytes: bytes) -> None:
@@ -58,6 +58,6 @@ def test_every_scalar_type(kind: str, dtype: str) -> None:
     ],
 )
 def test_damage_is_an_error_of_ours(ply_bytes: bytes, damage: Callable[[bytes], bytes]) -> None:
-    """Whatever is wrong with an answer, the caller meets BadAnswer and no index error."""
-    with pytest.raises(BadAnswer):
+    """Whatever is wrong with an answer, the caller meets InvalidResponseError and no index error."""
+    with pytest.raises(InvalidResponseError):
         read_ply(damage(ply_bytes))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pugeo_client import Meta, Result
-from pugeo_client.errors import BadAnswer, SourceError
+from pugeo_client.errors import InvalidResponseError, SourceError
 
 
 @pytest.fixture(params=["memory", "disk"])
@@ -102,7 +102,7 @@ def test_a_broken_answer_leaves_the_older_file(tmp_path: Path, extension: str) -
     broken = Result(Meta(), format="json", data=b"{}")
     target = tmp_path / f"dense.{extension}"
     target.write_bytes(b"older")
-    with pytest.raises((BadAnswer, SourceError)):
+    with pytest.raises((InvalidResponseError, SourceError)):
         broken.save(target)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]
 

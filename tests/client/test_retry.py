@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from pugeo_client._retry import FIRST_DELAY, LONGEST_DELAY, RETRY_AFTER_CAP, delay_before_retry
 from pugeo_client.errors import (
-    BadAnswer,
-    ConnectionFailed,
-    DeadlineExceeded,
+    ConnectionFailedError,
+    DeadlineExceededError,
+    InvalidResponseError,
     PugeoError,
     SourceError,
     StatusError,
@@ -50,7 +50,9 @@ def test_the_service_has_the_last_word() -> None:
     assert decide(status(503, retryable=True)) is not None
 
 
-@pytest.mark.parametrize("failure", [DeadlineExceeded(), SourceError(), BadAnswer(), PugeoError()])
+@pytest.mark.parametrize(
+    "failure", [DeadlineExceededError(), SourceError(), InvalidResponseError(), PugeoError()]
+)
 def test_what_no_retry_can_mend(failure: PugeoError) -> None:
     """Errors on this side, and a spent deadline, end the call."""
     assert decide(failure) is None
@@ -58,7 +60,7 @@ def test_what_no_retry_can_mend(failure: PugeoError) -> None:
 
 def test_no_connection_is_retried() -> None:
     """A refused or broken connection is tried again."""
-    assert decide(ConnectionFailed()) is not None
+    assert decide(ConnectionFailedError()) is not None
 
 
 @given(
@@ -87,7 +89,7 @@ def test_delays_keep_every_bound(
 
 def test_retries_are_counted() -> None:
     """After max_retries tries the failure stands."""
-    delays = [decide(ConnectionFailed(), attempt=made, failures=made) for made in range(5)]
+    delays = [decide(ConnectionFailedError(), attempt=made, failures=made) for made in range(5)]
     assert [delay is None for delay in delays] == [False, False, False, True, True]
 
 
@@ -104,6 +106,6 @@ def test_a_full_service_is_asked_until_the_time_is_up() -> None:
 
 def test_an_endless_attempt_number_does_not_overflow() -> None:
     """Backoff is capped before it can grow without bound."""
-    delay = decide(ConnectionFailed(), attempt=1000, max_retries=math.inf)
+    delay = decide(ConnectionFailedError(), attempt=1000, max_retries=math.inf)
     assert delay is not None
     assert delay <= LONGEST_DELAY

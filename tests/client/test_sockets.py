@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, TooLarge
+from pugeo_client.errors import ConnectionFailedError, DeadlineExceededError, TooLargeError
 
 Twin = Callable[..., Any]
 
@@ -56,7 +56,7 @@ def test_a_cut_answer_leaves_no_file(twin: Twin, serve: Any, tmp_path: Path) -> 
         read_request(connection)
         connection.sendall(answer(b"ply\n", promised=1000))
 
-    with serve(script) as url, pytest.raises(ConnectionFailed):
+    with serve(script) as url, pytest.raises(ConnectionFailedError):
         twin(lambda client: client.upsample(b"ply\n", out=tmp_path / "d.ply"), base_url=url)
     assert list(tmp_path.iterdir()) == []
 
@@ -69,7 +69,7 @@ def test_silence_ends_at_the_deadline(twin: Twin, serve: Any) -> None:
         connection.recv(1)
 
     started = time.monotonic()
-    with serve(script) as url, pytest.raises(DeadlineExceeded, match=r"0\.4 s"):
+    with serve(script) as url, pytest.raises(DeadlineExceededError, match=r"0\.4 s"):
         twin(lambda client: client.upsample(b"ply\n", timeout=0.4), base_url=url)
     assert 0.35 < time.monotonic() - started < 2
 
@@ -87,7 +87,7 @@ def test_a_trickle_ends_at_the_deadline(twin: Twin, serve: Any) -> None:
                 pause.wait(0.05)  # time.sleep does not sleep in these tests
 
     started = time.monotonic()
-    with serve(script) as url, pytest.raises(DeadlineExceeded):
+    with serve(script) as url, pytest.raises(DeadlineExceededError):
         twin(lambda client: client.upsample(b"ply\n", timeout=0.4), base_url=url)
     assert time.monotonic() - started < 2
 
@@ -104,7 +104,7 @@ def test_an_early_refusal_is_heard(twin: Twin, serve: Any) -> None:
             while connection.recv(1 << 20):
                 pass
 
-    with serve(script) as url, pytest.raises(TooLarge) as caught:
+    with serve(script) as url, pytest.raises(TooLargeError) as caught:
         twin(lambda client: client.upsample(bytes(30_000_000)), base_url=url)
     assert caught.value.code == "too_big"
 
@@ -127,6 +127,6 @@ def test_nobody_listens(twin: Any) -> None:
     """A port without a service is tried max_retries times and then said to be dead."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    with pytest.raises(ConnectionFailed, match="no answer"):
+    with pytest.raises(ConnectionFailedError, match="no answer"):
         twin(lambda client: client.upsample(b"ply\n"), base_url=f"http://127.0.0.1:{port}")
     assert len(twin.waits) == 3

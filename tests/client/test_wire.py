@@ -6,7 +6,7 @@ import pytest
 
 import pugeo_client
 from pugeo_client import _wire
-from pugeo_client.errors import BadAnswer, SourceError
+from pugeo_client.errors import InvalidResponseError, SourceError
 
 
 def build(**changes: Any) -> _wire.Request:
@@ -118,5 +118,5 @@ def test_meta_without_headers() -> None:
 
 def test_no_json() -> None:
     """A page where JSON was due is an error of ours."""
-    with pytest.raises(BadAnswer):
+    with pytest.raises(InvalidResponseError):
         _wire.read_json(b"<html>")

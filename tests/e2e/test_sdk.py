@@ -14,7 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from pugeo_client import AsyncClient, Client, Result
-from pugeo_client.errors import BadRequest, NotFound, Unprocessable, UnsupportedFormat
+from pugeo_client.errors import (
+    BadRequestError,
+    NotFoundError,
+    UnprocessableError,
+    UnsupportedFormatError,
+)
 
 EXAMPLE = "examples/block.ply"
 
@@ -154,12 +159,12 @@ def test_many_clouds(ask: Ask, sphere: NDArray[np.float32]) -> None:
 @pytest.mark.parametrize(
     ("source", "options", "error", "words"),
     [
-        (b"ply\nformat binary_little_endian 1.0\nelement vert", {}, BadRequest, "header"),
-        (b"%PDF-1.7", {}, UnsupportedFormat, "format"),
-        (np.zeros((1, 3)), {}, Unprocessable, "point"),
-        (np.eye(3).repeat(20, axis=0), {}, Unprocessable, "point"),
-        (io.BytesIO(b"0 0 0\n1 0 0\n0 1 0\n"), {"ratio": 99}, Unprocessable, "R"),
-        (b"0 0 0\n", {"orient": "sideways"}, Unprocessable, "orient"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vert", {}, BadRequestError, "header"),
+        (b"%PDF-1.7", {}, UnsupportedFormatError, "format"),
+        (np.zeros((1, 3)), {}, UnprocessableError, "point"),
+        (np.eye(3).repeat(20, axis=0), {}, UnprocessableError, "point"),
+        (io.BytesIO(b"0 0 0\n1 0 0\n0 1 0\n"), {"ratio": 99}, UnprocessableError, "R"),
+        (b"0 0 0\n", {"orient": "sideways"}, UnprocessableError, "orient"),
     ],
 )
 def test_refusals_are_typed(
@@ -182,5 +187,5 @@ def test_health_and_models(ask: Ask) -> None:
 
 def test_a_wrong_address(server: Server) -> None:
     """A base URL with a path that is not there is told apart from a dead service."""
-    with Client(server.url + "/elsewhere") as client, pytest.raises(NotFound):
+    with Client(server.url + "/elsewhere") as client, pytest.raises(NotFoundError):
         client.models()

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from pugeo_model import Cloud
-from pugeo_model.attributes import carry
+from pugeo_model.attributes import transfer_attributes
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]])
 
 
 def test_nothing_to_carry() -> None:
     """A bare cloud has nothing to hand on."""
-    assert carry(Cloud(CORNERS), CORNERS) == (None, {})
+    assert transfer_attributes(Cloud(CORNERS), CORNERS) == (None, {})
 
 
 def test_inverse_distance() -> None:
@@ -23,7 +23,9 @@ def test_inverse_distance() -> None:
     weights = 1 / np.array([0.25, 0.75, np.hypot(0.25, 1)])
     values = np.array([1.0, 2.0, 4.0, 1e9])
     colors = np.array([[0, 0, 0, 255], [255, 0, 0, 255], [0, 255, 0, 0], [7, 7, 7, 7]], np.uint8)
-    found, scalars = carry(Cloud(CORNERS, colors=colors, scalars={"v": values}), target)
+    found, scalars = transfer_attributes(
+        Cloud(CORNERS, colors=colors, scalars={"v": values}), target
+    )
     assert scalars["v"][0] == pytest.approx(values[:3] @ weights / weights.sum())
     assert found is not None
     expected = np.rint(weights @ colors[:3].astype(float) / weights.sum())
@@ -44,7 +46,7 @@ def test_on_a_source_point() -> None:
             "mask": rng.random(50) > 0.5,
         },
     )
-    colors, scalars = carry(source, source.points.astype(np.float64))
+    colors, scalars = transfer_attributes(source, source.points.astype(np.float64))
     np.testing.assert_array_equal(colors, source.colors)
     for name, values in source.scalars.items():
         assert scalars[name].dtype == values.dtype
@@ -54,7 +56,9 @@ def test_on_a_source_point() -> None:
 def test_labels_are_never_mixed() -> None:
     """Between classes 1 and 9 there is no class 5: labels are those of the nearest point."""
     labels = {"class": np.array([1, 9, 9, 9], np.uint8)}
-    _, scalars = carry(Cloud(CORNERS, scalars=labels), np.array([[0.4, 0, 0], [0.6, 0, 0]]))
+    _, scalars = transfer_attributes(
+        Cloud(CORNERS, scalars=labels), np.array([[0.4, 0, 0], [0.6, 0, 0]])
+    )
     assert scalars["class"].tolist() == [1, 9]
 
 
@@ -62,18 +66,18 @@ def test_missing_values() -> None:
     """NaN and infinity stay out of the mean, and stay where all three neighbours lack a value."""
     targets = np.array([[0.25, 0.1, 0.0]])
     one = {"v": np.array([np.nan, 2.0, np.inf, 9.0])}
-    assert carry(Cloud(CORNERS, scalars=one), targets)[1]["v"].tolist() == [2.0]
+    assert transfer_attributes(Cloud(CORNERS, scalars=one), targets)[1]["v"].tolist() == [2.0]
     none = {"v": np.array([np.nan, np.nan, np.nan, 9.0])}
-    assert np.isnan(carry(Cloud(CORNERS, scalars=none), targets)[1]["v"]).all()
+    assert np.isnan(transfer_attributes(Cloud(CORNERS, scalars=none), targets)[1]["v"]).all()
     # A target on a source point takes its value, and be it none.
-    assert np.isnan(carry(Cloud(CORNERS, scalars=one), CORNERS[:1])[1]["v"]).all()
+    assert np.isnan(transfer_attributes(Cloud(CORNERS, scalars=one), CORNERS[:1])[1]["v"]).all()
 
 
 def test_huge_values_do_not_overflow() -> None:
     """A mean of the largest floats is the largest float."""
     targets = np.random.default_rng(0).random((1000, 3))
     for values in (np.full(4, np.finfo(np.float32).max), np.full(4, np.finfo(np.float64).max)):
-        _, scalars = carry(Cloud(CORNERS, scalars={"v": values}), targets)
+        _, scalars = transfer_attributes(Cloud(CORNERS, scalars={"v": values}), targets)
         np.testing.assert_allclose(scalars["v"], values[0])
 
 
@@ -81,7 +85,7 @@ def test_huge_values_do_not_overflow() -> None:
 def test_fewer_than_three_points(count: int) -> None:
     """One or two source points are enough."""
     source = Cloud(CORNERS[:count], scalars={"v": np.full(count, 2.5), "k": np.full(count, 3)})
-    _, scalars = carry(source, CORNERS)
+    _, scalars = transfer_attributes(source, CORNERS)
     assert scalars["v"].tolist() == [2.5] * 4
     assert scalars["k"].tolist() == [3] * 4
 
@@ -102,7 +106,7 @@ def test_given_neighbours_and_offset() -> None:
             for part in np.array_split(targets, 40)
         ]
     )
-    ours, theirs = carry(source, targets), carry(source, targets, near)
+    ours, theirs = transfer_attributes(source, targets), transfer_attributes(source, targets, near)
     np.testing.assert_array_equal(ours[0], theirs[0])
     for name in source.scalars:
         np.testing.assert_array_equal(ours[1][name], theirs[1][name])
@@ -113,7 +117,7 @@ def test_points_beyond_squares() -> None:
     """Coordinates whose squares overflow still give the nearest point's values, no warning."""
     source = Cloud(CORNERS * 1e200, scalars={"v": np.arange(4.0)})
     near = np.array([[1, 0, 2]])
-    _, scalars = carry(source, np.array([[1.1e200, 0, 0]]), near)
+    _, scalars = transfer_attributes(source, np.array([[1.1e200, 0, 0]]), near)
     assert 0.0 <= scalars["v"][0] <= 2.0
 
 
@@ -126,5 +130,5 @@ def test_speed() -> None:
         scalars={"v": rng.random(100_000)},
     )
     start = time.perf_counter()
-    carry(source, rng.random((400_000, 3)))
+    transfer_attributes(source, rng.random((400_000, 3)))
     assert time.perf_counter() - start < 20.0

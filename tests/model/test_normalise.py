@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from pugeo_model import UntreatableCloud
+from pugeo_model import UntreatableCloudError
 from pugeo_model.normalise import normalise
 
 
@@ -37,7 +37,7 @@ def test_any_magnitude(scale):
 
 def test_too_few_points():
     """Seven points are refused, and the error says how many are needed."""
-    with pytest.raises(UntreatableCloud, match="at least 8") as caught:
+    with pytest.raises(UntreatableCloudError, match="at least 8") as caught:
         normalise(np.random.default_rng(0).random((7, 3)))
     assert caught.value.code == "too_few_points"
 
@@ -49,7 +49,7 @@ def test_points_on_a_line(offset):
     for points in (line, line.astype(np.float32)):
         if offset and points.dtype == np.float32:
             continue  # rounding there is larger than a thin but real strip
-        with pytest.raises(UntreatableCloud) as caught:
+        with pytest.raises(UntreatableCloudError) as caught:
             normalise(points)
         assert caught.value.code == "collinear_points"
 

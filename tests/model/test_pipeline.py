@@ -4,21 +4,21 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from pugeo_model import BadOption, Cloud, UntreatableCloud
+from pugeo_model import BadOptionError, Cloud, UntreatableCloudError
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
     assemble,
     denoise,
     finish,
+    input_queries,
     land,
+    make_plan,
     merge,
     noisy,
-    own_spots,
     predict,
     prepare,
     propose,
-    survey,
 )
 from pugeo_model.upsampler import Upsampler
 
@@ -91,14 +91,14 @@ def test_n_points_instead_of_ratio(upsampler, sphere):
     """A number of points is met exactly; outside 1 to 32 times the input it is refused."""
     assert len(upsampler(sphere, n_points=5001).cloud) == 5001
     for wanted in (10, 100_000):
-        with pytest.raises(BadOption, match="n_points"):
+        with pytest.raises(BadOptionError, match="n_points"):
             upsampler(sphere, n_points=wanted)
 
 
 def test_order_of_work_does_not_matter(upsampler, sphere):
     """Patches predicted in any order, by anyone, give the same bytes."""
     points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
-    plan = survey(Cloud(points), Options(4.0))
+    plan = make_plan(Cloud(points), Options(4.0))
     job = prepare(plan.tile(0))
     assert len(job.patches) > 2
     model = upsampler.model
@@ -186,7 +186,7 @@ def test_dropped_points_are_counted(upsampler, sphere):
 )
 def test_untreatable_clouds(upsampler, points):
     """What spans no surface is refused with a reason."""
-    with pytest.raises(UntreatableCloud):
+    with pytest.raises(UntreatableCloudError):
         upsampler(points, 4)
 
 
@@ -205,7 +205,7 @@ def test_untreatable_clouds(upsampler, points):
 )
 def test_bad_options(options):
     """Each option out of range is refused by name."""
-    with pytest.raises(BadOption) as caught:
+    with pytest.raises(BadOptionError) as caught:
         Options(**options)
     assert caught.value.fields["parameter"] in {*options, "viewpoint"}
 
@@ -251,12 +251,12 @@ def test_a_noisy_input_is_denoised_first(upsampler, sphere):
         (points, True, False),
         (sphere, False, False),
     ):
-        (tile,) = survey(Cloud(cloud), Options(4.0, keep_input=keep)).tiles
+        (tile,) = make_plan(Cloud(cloud), Options(4.0, keep_input=keep)).tiles
         job = prepare(tile)
         assert noisy(job) is moves
         if moves:
             charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            again = denoise(job, land(upsampler.model, own_spots(job, charts)))
+            again = denoise(job, land(upsampler.model, input_queries(job, charts)))
             placed = [tile.placement.world(each.points) for each in (job, again)]
             off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in placed]
             assert off[1] < 0.7 * off[0]
@@ -268,9 +268,9 @@ def test_detail_is_not_taken_for_noise(upsampler):
     """What looks rough but lands where it is stays: a cloud too coarse for its folds."""
     u, v = np.random.default_rng(0).random((2, 1500)) * 30
     folds = np.column_stack([u, v, 0.8 * np.abs((u + 0.3 * v) % 4 - 2)])
-    (tile,) = survey(Cloud(folds), Options(4.0)).tiles
+    (tile,) = make_plan(Cloud(folds), Options(4.0)).tiles
     job = prepare(tile)
     charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-    again = denoise(job, land(upsampler.model, own_spots(job, charts)))
+    again = denoise(job, land(upsampler.model, input_queries(job, charts)))
     assert noisy(job)
     assert again is job

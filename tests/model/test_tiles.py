@@ -7,23 +7,23 @@ import torch
 from scipy.spatial import cKDTree
 
 from pugeo_model import Cloud
-from pugeo_model.geometry.areas import shares
+from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.orient.across_tiles import signs_of_parts
-from pugeo_model.orient.dense import take_sides_by_answer
+from pugeo_model.orient.across_tiles import signs_across_tiles
+from pugeo_model.orient.dense import orient_dense
 from pugeo_model.pipeline import (
     denoise,
+    input_queries,
     land,
+    make_plan,
     noisy,
-    own_spots,
     predict,
     prepare,
     propose,
-    survey,
 )
-from pugeo_model.tiles import cut_tiles
+from pugeo_model.tiles import plan_tiles
 from pugeo_model.training.corpus import poisson_disk
 from pugeo_model.upsampler import Upsampler
 
@@ -53,12 +53,12 @@ def ball():
 
 def dense(upsampler, cloud, options, size=None):
     """The whole way, in tiles of at most ``size``."""
-    return upsampler.upsample(survey(cloud, options, size))
+    return upsampler.upsample(make_plan(cloud, options, size))
 
 
 def test_cores_partition_the_cloud(ball):
-    """Every point is in one core; margins hold all within reach; shares of the answer add up."""
-    cuts, noise, typical = cut_tiles(ball, 16_001, SIZE)
+    """Every point is in one core; margins hold all within reach; surface_areas of the answer add up."""
+    cuts, noise, typical = plan_tiles(ball, 16_001, SIZE)
     assert len(cuts) == 4
     cores = [cut.rows[: cut.core] for cut in cuts]
     np.testing.assert_array_equal(np.sort(np.concatenate(cores)), np.arange(4000))
@@ -78,7 +78,7 @@ def test_cores_partition_the_cloud(ball):
 
 def test_small_clouds_stay_whole(ball):
     """A margin that costs more than it saves is not made."""
-    cuts, *found = cut_tiles(ball, 16_000)
+    cuts, *found = plan_tiles(ball, 16_000)
     assert [(cut.core, cut.n_out) for cut in cuts] == [(4000, 16_000)]
     assert found == [None, None]
 
@@ -114,7 +114,7 @@ def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
 def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
     """Of an even cloud all points stand for the same area, in each tile, denoised or not."""
     cloud = ball + np.random.default_rng(0).normal(size=ball.shape, scale=scale)
-    for tile in survey(Cloud(cloud), Options(4.0), SIZE).tiles:
+    for tile in make_plan(Cloud(cloud), Options(4.0), SIZE).tiles:
         job = prepare(tile)
         assert noisy(job) is (scale > 0)
         charted = sum(patch.core for patch in job.patches)
@@ -123,7 +123,7 @@ def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
         assert (charted == len(job.points)) is noisy(job)
         if noisy(job):
             charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            job = denoise(job, land(upsampler.model, own_spots(job, charts)))
+            job = denoise(job, land(upsampler.model, input_queries(job, charts)))
             assert job.denoised
         share = job.share[job.core]
         assert share.std() < 0.004 * share.mean()
@@ -135,7 +135,9 @@ def test_spots_land_on_charts_alone(upsampler):
     dense, sparse = rng.random((6000, 2)), rng.random((1400, 2)) * [5, 1] + [1, 0]
     flat = np.concatenate([dense, sparse])
     reached = []
-    for tile in survey(Cloud(np.column_stack([flat, 0.01 * flat[:, 0]])), Options(2.0), 1250).tiles:
+    for tile in make_plan(
+        Cloud(np.column_stack([flat, 0.01 * flat[:, 0]])), Options(2.0), 1250
+    ).tiles:
         job = prepare(tile)
         charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
         landing = propose(job, charts)
@@ -151,14 +153,14 @@ def test_a_noisy_cloud_whose_points_stay(ball):
     """Its margins need no more charts than others: nothing is denoised."""
     noisy_ball = Cloud(ball + np.random.default_rng(0).normal(size=ball.shape, scale=0.02))
     for keep in (False, True):
-        plan = survey(noisy_ball, Options(4.0, keep_input=keep), SIZE)
+        plan = make_plan(noisy_ball, Options(4.0, keep_input=keep), SIZE)
         assert all((cut.charted == len(cut.rows)) is not keep for cut in plan.cuts)
 
 
 def test_a_tile_without_neighbours(upsampler, ball):
     """A part of the cloud that stands apart and is one tile has no border; the others have."""
     apart = np.concatenate([0.4 * ball[::4], ball + [50.0, 0.0, 0.0]])
-    plan = survey(Cloud(apart), Options(2.0), 1000)
+    plan = make_plan(Cloud(apart), Options(2.0), 1000)
     margins = [len(cut.rows) - cut.core for cut in plan.cuts]
     assert min(margins) == 0 < max(margins)
     dense = upsampler.upsample(plan).cloud
@@ -200,7 +202,7 @@ def test_signs_that_need_no_neighbours(upsampler, ball, orient):
 def test_progress_counts_all_tiles(upsampler, ball):
     """A stage starts where it ended in the tile before, and all end at the total."""
     told = []
-    plan = survey(Cloud(ball), Options(2.0), SIZE)
+    plan = make_plan(Cloud(ball), Options(2.0), SIZE)
     upsampler.upsample(plan, lambda *now: told.append(now))
     done = [now for stage, now, _ in told if stage == "network"]
     assert done == sorted(done)
@@ -219,17 +221,17 @@ def test_signs_across_tiles():
     order = rng.permutation(3000)
     points, true = points[order], true[order]
     sides = []
-    for cut in cut_tiles(points, 3000, 500)[0]:
+    for cut in plan_tiles(points, 3000, 500)[0]:
         rows = cut.rows
         mixed = true[rows] * rng.choice([-1.0, 1.0], (len(rows), 1))
         core = np.arange(len(rows)) < cut.core
         distances, near = nearest(points[rows])
         near = np.ascontiguousarray(near[:, :12])
-        share = shares(spacing(distances), near)
+        share = surface_areas(spacing(distances), near)
         mixed = mixed.astype(np.float32)
         answer = points[rows[: cut.core]], mixed[: cut.core], np.arange(cut.core, dtype=np.int32)
-        sides.append(take_sides_by_answer(rows, core, points[rows], mixed, near, share, answer)[0])
+        sides.append(orient_dense(rows, core, points[rows], mixed, near, share, answer)[0])
     assert len(sides) > 4
-    for side, signs in zip(sides, signs_of_parts(sides), strict=True):
+    for side, signs in zip(sides, signs_across_tiles(sides), strict=True):
         agreed = side.normals * signs[side.parts, None]
         assert (np.einsum("ij,ij->i", agreed, true[side.rows])[side.core] > 0).mean() > 0.99

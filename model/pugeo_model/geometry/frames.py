@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.pca import cross, principal_axes
 from pugeo_model.geometry.quadric import QUADRIC, fit_quadric
+from pugeo_model.tuning import TUNING
 
 __all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]
 
-_SUPPORT = 1.6  # Gaussian support of the fit in spacings, on clean input
-_WIDEST = 3.0  # on the noisiest: 32 neighbours reach no further
-_NOISE_GAIN = 6.0  # spacings of support per spacing of height residual
+_SUPPORT = TUNING.fit_support
+_WIDEST = TUNING.fit_support_noisy
+_NOISE_GAIN = TUNING.fit_support_gain
 _NOTHING = 30.0  # exponent beyond which a weight is none
-_NOISE_QUANTILE = 0.1
-_CLEAN = 0.06  # residual, in spacings, that curvature alone leaves on clean input
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def fit_frames(
     axes, quadric, residual = _rough_frames(points, neighbours, spacing)
     if noise is None:
         noise = noise_level(residual)
-    support = min(_SUPPORT + _NOISE_GAIN * max(noise - _CLEAN, 0.0), _WIDEST)
+    support = min(_SUPPORT + _NOISE_GAIN * max(noise - TUNING.clean_residual, 0.0), _WIDEST)
     _fine(points, neighbours, spacing, support, axes, quadric, residual)
     return Frames(
         axes.astype(np.float32),
@@ -101,7 +100,7 @@ def noise_level(residual: NDArray[Any]) -> float:
 
     Detail leaves residuals here and there, noise everywhere: so it is what nine in ten exceed.
     """
-    return float(np.quantile(residual, _NOISE_QUANTILE))
+    return float(np.quantile(residual, TUNING.noise_quantile))
 
 
 @njit(cache=True, nogil=True)

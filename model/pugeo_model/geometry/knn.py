@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["nearest_in_leaves"]
+__all__ = ["nearest_by_leaves"]
 
 _LEAF = 32  # points of a leaf at most, half as many at least
 _REACH = 0.48  # of the diagonal of a box with as many points as are wanted: seldom too short
@@ -20,7 +20,7 @@ _SHELVES = 64  # by squared distance: what lies on one is then sorted by inserti
 _WORD = 8  # flags looked at together
 
 
-def nearest_in_leaves(
+def nearest_by_leaves(
     points: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """The ``count`` nearest of each point, itself left out.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.knn import nearest_in_leaves
+from pugeo_model.geometry.knn import nearest_by_leaves
 
 __all__ = ["NEIGHBOURS", "SPACING_NEIGHBOURS", "knn", "nearest", "spacing"]
 
@@ -55,7 +55,7 @@ def nearest(
         nearest first.
     """
     found = min(count, len(points) - 1)
-    distances, rows = nearest_in_leaves(points, found)
+    distances, rows = nearest_by_leaves(points, found)
     left = np.flatnonzero(rows[:, 0] < 0)
     if len(left):
         distances[left], rows[left] = _by_tree(points, left, found)

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
 
-__all__ = ["EDGE", "MESSAGES", "POSE", "SCALARS", "Patch", "cut", "edges", "poses", "scalars"]
+__all__ = [
+    "EDGE",
+    "MESSAGES",
+    "POSE",
+    "SCALARS",
+    "Patch",
+    "edges",
+    "extract_patch",
+    "poses",
+    "scalars",
+]
 
 MESSAGES: tuple[tuple[int, int, int], ...] = ((0, 12, 1), (1, 24, 2))
 """Neighbour columns ``(start, stop, step)`` of each round: the nearest 12, then 12 of the first 24
@@ -57,7 +67,7 @@ class Patch:
     frames: Frames
 
 
-def cut(
+def extract_patch(
     core: NDArray[np.int32],
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],

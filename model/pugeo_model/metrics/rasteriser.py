@@ -71,7 +71,7 @@ def splat(
     normals: Floats | None = None,
     lit: bool = True,
 ) -> Floats:
-    """Draw a cloud: with normals as a lit surface, without them as dots.
+    """Draw a cloud: with normals as a lit surface, without them as row_dots.
 
     Dots hide what is behind them as if the gaps between them were closed; else the near and the
     far side of a thing would show at once.
@@ -93,10 +93,10 @@ def splat(
     scale = side / (2 * camera.reach)
     if normals is None:
         facing = np.broadcast_to(VIEWER, points.shape)
-        dots = _fragments(seen, facing, radius, scale, side)
+        row_dots = _fragments(seen, facing, radius, scale, side)
         backs = _fragments(seen - 7 * radius * VIEWER, facing, 3 * radius, scale, side)
         backs = (*backs[:3], backs[3] + len(points))
-        fragments = tuple(np.concatenate(pair) for pair in zip(dots, backs, strict=True))
+        fragments = tuple(np.concatenate(pair) for pair in zip(row_dots, backs, strict=True))
         shaded = np.vstack([colors * _fog(seen[:, 2:]), np.broadcast_to(BACKGROUND, colors.shape)])
     else:
         facing = normals @ rotation.T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces from points and normals: screened Poisson reconstruction (Kazhdan and Hoppe 2013).
+"""Surfaces from points and normals: charts_per_candidate Poisson reconstruction (Kazhdan and Hoppe 2013).
 
 The authors' own code does the work, as COLMAP ships it. It takes and gives files and keeps one
 parameter, samples a node, at 1.5. The protocol says 1, which MeshLab's build of the code can: on

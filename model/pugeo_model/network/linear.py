@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear layers that take one pass where torch takes three, once they serve.
+"""Linear layers that take one pass where torch takes three, once they freeze.
 
 In bfloat16 torch first writes the bias into every row of the result, then adds the product to it,
 and rectifies in a pass of its own: a fifth of the network's time, and a tenth. oneDNN does all
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from pugeo_model.network.kernels.pooling import rectify
 from pugeo_model.network.precision import bfloat16_pays
 
-__all__ = ["Linear", "Rectified", "serve"]
+__all__ = ["Linear", "Rectified", "freeze"]
 
 # Torch's own, not its interface: a version or a processor may be without it.
 _product = getattr(torch.ops.mkldnn, "_linear_pointwise", None)
@@ -48,7 +48,7 @@ class Rectified(Linear):
         return rectify(super()._trained(rows))
 
 
-def serve(net: nn.Module) -> None:
+def freeze(net: nn.Module) -> None:
     """Round the weights of all layers to bfloat16, where it pays, once and not in every call.
 
     From then on, without gradients, they are taken as they are now.

@@ -9,21 +9,18 @@ import torch
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.heads import spread
-from pugeo_model.network.kernels.projection import Lander, settle
-from pugeo_model.network.linear import serve
-from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.kernels.projection import Projector, bounded_step
+from pugeo_model.network.linear import freeze
+from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.pugeo import PUGeoNet
-from pugeo_model.resample.atlas import Landed, Landing, PatchCharts
+from pugeo_model.resample.atlas import PatchCharts, Projected, ProjectionQuery
+from pugeo_model.tuning import TUNING
 
 __all__ = ["Model"]
 
-# Spacings from its nearest input point that a point may lie at most. The widest holes of an even
-# scan are 0.85 deep; what a chart says beyond is invention: on a LiDAR's far field points flew off.
-_FURTHEST = 1.25
-
 
 class Model:
-    """A network ready to serve.
+    """A network ready to freeze.
 
     Patches are taken one at a time, always whole, so results cannot depend on how many are
     batched or who computes them.
@@ -34,13 +31,13 @@ class Model:
     """
 
     def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
-        # First of all, since a lander tries a product out.
+        # First of all, since a projector tries a product out.
         bound_compiled_products()
         keep_freed_memory()
         self.net = net.eval()
-        serve(self.net)
+        freeze(self.net)
         self.card = card
-        self._lander = Lander(self.net.surface)
+        self._projector = Projector(self.net.surface)
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:
@@ -48,7 +45,7 @@ class Model:
         core = patch.core
         frames = patch.frames
         quadric = frames.quadric[:core]
-        charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
+        charts, uv = self.net(stack_patches([patch]), torch.from_numpy(quadric), count)
         # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
         scaled = torch.from_numpy(frames.axes[:core] * frames.spacing[:core, None, None])
         candidates = spread(uv, charts.T[..., :2].mT @ scaled).numpy()
@@ -60,10 +57,10 @@ class Model:
             lift=charts.lift.numpy(),
         )
 
-    def land(self, landing: Landing) -> Landed:
-        """Put every spot on the blend of its charts."""
-        step, normals, log_error = self._lander(landing)
-        points = settle(landing, step, _FURTHEST)
-        points[: landing.fixed] = landing.spots[: landing.fixed]
-        nearest = landing.charts[:, 0].copy()
-        return Landed(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)
+    def project(self, query: ProjectionQuery) -> Projected:
+        """Put every query point on the blend of its charts."""
+        step, normals, log_error = self._projector(query)
+        points = bounded_step(query, step, TUNING.furthest)
+        points[: query.fixed] = query.points[: query.fixed]
+        nearest = query.charts[:, 0].copy()
+        return Projected(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)

@@ -21,13 +21,13 @@ from torch.nn import functional
 
 from pugeo_model.geometry.patches import MESSAGES, Patch, edges, poses, scalars
 
-__all__ = ["Neighbourhoods", "gather"]
+__all__ = ["Neighbourhoods", "stack_patches"]
 
 _GRAIN = 128  # of 64, 128, 256 rows: 3, 4 and 9 % more work, and fewer products to compile
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class MessageRound:
     """One round of message passing: ``rows`` receive from ``sources``.
 
     Attributes:
@@ -53,10 +53,10 @@ class Neighbourhoods:
 
     edges: Tensor
     scalars: Tensor
-    rounds: tuple[Round, ...]
+    rounds: tuple[MessageRound, ...]
 
 
-def gather(patches: Sequence[Patch]) -> Neighbourhoods:
+def stack_patches(patches: Sequence[Patch]) -> Neighbourhoods:
     """Tensors of the patches, put one after the other as one graph, and filled up."""
     rounds = []
     before = [patch.rings[0] for patch in patches]
@@ -70,7 +70,7 @@ def gather(patches: Sequence[Patch]) -> Neighbourhoods:
         ]
         pose = [poses(p, n, reach) for p, n in zip(patches, now, strict=True)]
         rounds.append(
-            Round(
+            MessageRound(
                 _filled(_joined(rows), 0),
                 _filled(_joined(sources, axis=1), 1),
                 _filled(_joined(pose, axis=1), 1),

@@ -93,7 +93,7 @@ class PUGeoNet(nn.Module):
         """
         with wide_products():
             features = self.backbone(hoods)
-        # Rows that only fill up go all the way with the others, see `gather`.
+        # Rows that only fill up go all the way with the others, see `stack_patches`.
         core = len(quadric)
         padded = functional.pad(quadric, (0, 0, 0, len(features) - core))
         code, lift = self.surface.encode(features, padded)

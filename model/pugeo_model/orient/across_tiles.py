@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.orient.mst import dots, join
-from pugeo_model.orient.outward import Evidence, gather, outward
+from pugeo_model.orient.mst import row_dots, spanning_tree_signs
+from pugeo_model.orient.outward import OutwardEvidence, collect_evidence, outward_signs
 
-__all__ = ["Sides", "sides_of", "signs_of_parts"]
+__all__ = ["TileSigns", "signs_across_tiles", "tile_signs"]
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class TileSigns:
     """What a tile knows of the sides of its ``n`` sparse points.
 
     Attributes:
@@ -35,10 +35,10 @@ class Sides:
     core: NDArray[np.bool_]
     normals: NDArray[np.float32]
     parts: NDArray[np.intp]
-    evidence: Evidence
+    evidence: OutwardEvidence
 
 
-def sides_of(
+def tile_signs(
     rows: NDArray[np.int32],
     core: NDArray[np.bool_],
     points: NDArray[np.float64],
@@ -46,7 +46,7 @@ def sides_of(
     signs: NDArray[np.float64],
     parts: NDArray[np.intp],
     neighbours: NDArray[np.integer[Any]],
-) -> Sides:
+) -> TileSigns:
     """The sides of a tile whose normals agree among themselves.
 
     Args:
@@ -59,24 +59,24 @@ def sides_of(
         neighbours: ``(n, k)`` rows of the tile.
     """
     agreed = normals * signs[:, None].astype(np.float32)
-    evidence = gather(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
-    return Sides(rows, core, agreed, parts, evidence)
+    evidence = collect_evidence(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
+    return TileSigns(rows, core, agreed, parts, evidence)
 
 
-def signs_of_parts(tiles: Sequence[Sides]) -> list[NDArray[np.float64]]:
+def signs_across_tiles(tiles: Sequence[TileSigns]) -> list[NDArray[np.float64]]:
     """Signs, for each tile those of its parts, by which all normals point outward together."""
     first = np.cumsum([0, *(len(tile.evidence.count) for tile in tiles)])
     left, right, votes = _votes(tiles, first)
     # Many points that agree (or disagree) well make a light edge.
     weights = (1.0 / (1e-3 + np.abs(votes))).astype(np.float32)
-    signs, groups = join(int(first[-1]), left, right, weights, votes < 0)
-    evidence = Evidence.join([tile.evidence for tile in tiles])
-    signs = signs * outward(evidence, groups, signs)[groups]
+    signs, groups = spanning_tree_signs(int(first[-1]), left, right, weights, votes < 0)
+    evidence = OutwardEvidence.join([tile.evidence for tile in tiles])
+    signs = signs * outward_signs(evidence, groups, signs)[groups]
     return np.split(signs, first[1:-1])
 
 
 def _votes(
-    tiles: Sequence[Sides], first: NDArray[np.int64]
+    tiles: Sequence[TileSigns], first: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """Pairs of parts (the lower first) that share points, and how far these agree: cosines, summed.
 
@@ -96,7 +96,7 @@ def _votes(
         here = start + tile.parts[~tile.core]
         there = owner[shared]
         pairs.append(np.minimum(here, there) * first[-1] + np.maximum(here, there))
-        cosines.append(dots(tile.normals[~tile.core], normals[shared]).astype(np.float64))
+        cosines.append(row_dots(tile.normals[~tile.core], normals[shared]).astype(np.float64))
     found, which = np.unique(np.concatenate(pairs), return_inverse=True)
     votes = np.zeros(len(found))
     np.add.at(votes, which, np.concatenate(cosines))

@@ -3,7 +3,7 @@
 
 These lie closer together than the input's, and their normals are learned: where a wall is as thin
 as the input is sparse, neighbours in the input are on its other side, and neighbours in the answer
-are not. The input's points, which tiles share, take their signs from them.
+are not. The input's points, which tiles area, take their signs from them.
 """
 
 from typing import Any
@@ -12,31 +12,31 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.orient.across_tiles import Sides, sides_of
+from pugeo_model.orient.across_tiles import TileSigns, tile_signs
 from pugeo_model.orient.mst import Edges
-from pugeo_model.orient.mst_consensus import join_by_votes
-from pugeo_model.orient.signed_union_find import Forest
-from pugeo_model.resample.chart_neighbours import by_chart, crowd
-from pugeo_model.resample.elimination import reach_of_share
+from pugeo_model.orient.mst_consensus import join_by_consensus
+from pugeo_model.orient.signed_union_find import SignedUnionFind
+from pugeo_model.resample.chart_neighbours import chart_neighbours, group_by_chart
+from pugeo_model.resample.elimination import packing_radius
+from pugeo_model.tuning import TUNING
 
-__all__ = ["take_sides_by_answer"]
+__all__ = ["orient_dense"]
 
 _ALL = 5.0  # points a chart up to which all take part
-_MEMBERS = 3  # of each chart where there are more; the others follow the nearest of these
-_FAR = 1.35  # reaches at which neighbours are looked for
+_FAR = 1.35  # radii at which neighbours are looked for
 _WIDTH = 12  # longest list of them
 _NEAR = 6  # neighbours in the input
 
 
-def take_sides_by_answer(
+def orient_dense(
     rows: NDArray[np.int32],
     core: NDArray[np.bool_],
     points: NDArray[np.float64],
     normals: NDArray[np.float32],
     neighbours: NDArray[np.int32],
-    share: NDArray[np.float64],
+    area: NDArray[np.float64],
     answer: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]],
-) -> tuple[Sides, NDArray[np.float64], NDArray[np.intp]]:
+) -> tuple[TileSigns, NDArray[np.float64], NDArray[np.intp]]:
     """Let the normals of a tile's answer agree among themselves, and those of its input with them.
 
     Neighbours in the answer are asked first; then each point of the input agrees with the answer's
@@ -49,7 +49,7 @@ def take_sides_by_answer(
         points: ``(n, 3)``, unit scale of the whole cloud.
         normals: ``(n, 3)`` float32 unit, of any sign.
         neighbours: ``(n, k)`` int32 rows of the tile.
-        share: ``(n,)`` area that each stands for.
+        area: ``(n,)`` area that each stands for.
         answer: points ``(K, 3)``, normals ``(K, 3)`` of any sign, and the input point ``(K,)`` that
             each belongs to.
 
@@ -57,25 +57,25 @@ def take_sides_by_answer(
         The sides, and of the answer's points the signs -1 or 1 ``(K,)`` and the parts ``(K,)``.
     """
     dense, directions, owner = answer
-    start, order = by_chart(owner, len(points))
-    most = _MEMBERS if len(dense) > _ALL * np.count_nonzero(core) else len(dense)
+    start, order = group_by_chart(owner, len(points))
+    most = TUNING.orientation_members if len(dense) > _ALL * np.count_nonzero(core) else len(dense)
     chosen = _members(start, order, most)
     mine, some, ways = owner[chosen], dense[chosen], directions[chosen]
     held = np.maximum(np.bincount(mine, minlength=len(points)), 1)
-    reach = _FAR * reach_of_share(share / held)[mine]
+    radius = _FAR * packing_radius(area / held)[mine]
     # The points of the answer come after those of the input.
     first = len(points)
     all_points, all_normals = np.concatenate([points, some]), np.concatenate([normals, ways])
     places = np.arange(first, first + len(mine), dtype=np.int32)
-    forest = Forest(len(all_points))
-    near = Edges.among(some, ways, crowd(some, mine, neighbours, reach, _WIDTH))
-    join_by_votes(forest, near.moved(first))
+    forest = SignedUnionFind(len(all_points))
+    near = Edges.among(some, ways, chart_neighbours(some, mine, neighbours, radius, _WIDTH))
+    join_by_consensus(forest, near.moved(first))
     unlimited = np.zeros(len(all_points))
-    join_by_votes(forest, Edges.between(all_points, all_normals, mine, places, unlimited))
+    join_by_consensus(forest, Edges.between(all_points, all_normals, mine, places, unlimited))
     if forest.parts > 1:
-        join_by_votes(forest, Edges.among(points, normals, neighbours[:, :_NEAR]))
+        join_by_consensus(forest, Edges.among(points, normals, neighbours[:, :_NEAR]))
     signs, parts = forest.read()
-    sides = sides_of(rows, core, points, normals, signs[:first], parts[:first], neighbours)
+    sides = tile_signs(rows, core, points, normals, signs[:first], parts[:first], neighbours)
     agreed = ways * signs[first:, None].astype(np.float32)
     all_signs, member = np.empty(len(dense)), np.empty(len(dense), dtype=np.int32)
     _follow(dense, directions, start, order, most, some, agreed, all_signs, member)

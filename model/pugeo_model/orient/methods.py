@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.errors import BadOption
-from pugeo_model.orient.across_tiles import sides_of, signs_of_parts
-from pugeo_model.orient.mst import dots, relative_signs
+from pugeo_model.errors import BadOptionError
+from pugeo_model.orient.across_tiles import signs_across_tiles, tile_signs
+from pugeo_model.orient.mst import relative_signs, row_dots
 
-__all__ = ["METHODS", "method_of", "orient", "propagate"]
+__all__ = ["METHODS", "orient", "resolve_method", "transfer_signs"]
 
 METHODS = ("auto", "input", "viewpoint", "mst", "outward", "none")
 
@@ -56,9 +56,9 @@ def orient(
         ``(M, 3)`` oriented normals of the same dtype, and the method used (never ``"auto"``).
 
     Raises:
-        BadOption: an unknown method, or what it needs is missing or not finite.
+        BadOptionError: an unknown method, or what it needs is missing or not finite.
     """
-    method = method_of(method, viewpoint, has_normals=input_normals is not None)
+    method = resolve_method(method, viewpoint, has_normals=input_normals is not None)
     if method == "none" or not len(points):
         return normals, method
     if method == "input":
@@ -66,43 +66,43 @@ def orient(
         signs = _signs_of_input(normals, input_normals, neighbours)
     elif method == "viewpoint":
         assert viewpoint is not None
-        signs = _signs(dots(normals, np.asarray(viewpoint, np.float64) - points))
+        signs = _signs(row_dots(normals, np.asarray(viewpoint, np.float64) - points))
     elif method == "outward":
         centre = points.mean(axis=0, dtype=np.float64) if centroid is None else centroid
-        signs = _signs(dots(normals, points - centre))
+        signs = _signs(row_dots(normals, points - centre))
     else:
         signs = _signs_of_tree(points, normals, neighbours)
     return _flip(normals, signs), method
 
 
-def method_of(
+def resolve_method(
     method: str, viewpoint: tuple[float, float, float] | None, *, has_normals: bool
 ) -> str:
     """Return the method that will be used: what ``"auto"`` stands for, or ``method`` itself.
 
     Raises:
-        BadOption: as `orient`.
+        BadOptionError: as `orient`.
     """
     if method not in METHODS:
-        raise BadOption(
+        raise BadOptionError(
             f"orient={method!r} is unknown; it can be {', '.join(METHODS)}.",
             name="orient",
             value=method,
             allowed=list(METHODS),
         )
     if viewpoint is not None and not np.isfinite(viewpoint).all():
-        raise BadOption("viewpoint must be three finite numbers.", name="viewpoint")
+        raise BadOptionError("viewpoint must be three finite numbers.", name="viewpoint")
     if method == "auto":
         given = "viewpoint" if viewpoint is not None else "mst"
         return "input" if has_normals else given
     if method == "input" and not has_normals:
-        raise BadOption("orient='input' needs a file with usable normals.", name="orient")
+        raise BadOptionError("orient='input' needs a file with usable normals.", name="orient")
     if method == "viewpoint" and viewpoint is None:
-        raise BadOption("orient='viewpoint' needs a viewpoint.", name="viewpoint")
+        raise BadOptionError("orient='viewpoint' needs a viewpoint.", name="viewpoint")
     return method
 
 
-def propagate(
+def transfer_signs(
     normals: NDArray[Any], nearest: NDArray[np.integer[Any]], oriented: NDArray[Any]
 ) -> NDArray[Any]:
     """Give each dense normal the sign of the sparse normal nearest to it.
@@ -115,7 +115,7 @@ def propagate(
     Returns:
         ``(K, 3)`` of the dtype of ``normals``.
     """
-    signs = _signs(dots(normals, oriented[nearest]))
+    signs = _signs(row_dots(normals, oriented[nearest]))
     return _flip(normals, signs)
 
 
@@ -132,7 +132,7 @@ def _signs(values: NDArray[Any]) -> NDArray[np.float64]:
 def _signs_of_input(
     normals: NDArray[Any], given: NDArray[Any], neighbours: NDArray[np.integer[Any]]
 ) -> NDArray[np.float64]:
-    agreement = dots(normals, given)
+    agreement = row_dots(normals, given)
     signs = _signs(agreement)
     unknown = np.flatnonzero(agreement == 0)
     if len(unknown):
@@ -153,5 +153,5 @@ def _signs_of_tree(
     points = points - points.mean(axis=0, dtype=np.float64)
     signs, parts = relative_signs(points, normals, neighbours)
     rows, core = np.arange(len(points), dtype=np.int32), np.ones(len(points), dtype=np.bool_)
-    sides = sides_of(rows, core, points, normals, signs, parts, neighbours)
-    return signs * signs_of_parts([sides])[0][parts]
+    sides = tile_signs(rows, core, points, normals, signs, parts, neighbours)
+    return signs * signs_across_tiles([sides])[0][parts]

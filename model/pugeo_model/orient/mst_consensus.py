@@ -14,24 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.orient.mst import Edges, join
-from pugeo_model.orient.signed_union_find import Forest
+from pugeo_model.orient.mst import Edges, spanning_tree_signs
+from pugeo_model.orient.signed_union_find import SignedUnionFind
+from pugeo_model.tuning import TUNING
 
-__all__ = ["join_by_votes"]
+__all__ = ["join_by_consensus"]
 
-# Weights up to which edges are believed: normals on one circle to 4 degrees, then to 8.
-_SURE = (0.003, 0.01)
 _HEAVY = 0.1  # weight of an edge whose vote counts half
 
 
-def join_by_votes(forest: Forest, edges: Edges) -> None:
+def join_by_consensus(forest: SignedUnionFind, edges: Edges) -> None:
     """Join the parts of a forest along edges, and let those be outvoted that are wrong.
 
     Args:
         forest: whose parts stay as they are within themselves.
         edges: between its nodes.
     """
-    rows = forest.join_sure(edges.left, edges.right, edges.opposite, edges.weights, _SURE)
+    rows = forest.join_sure(
+        edges.left, edges.right, edges.opposite, edges.weights, TUNING.sure_edges
+    )
     if not len(rows):
         return
     # From here on the parts that are left are the nodes.
@@ -53,13 +54,13 @@ def _by_votes(
     weights: NDArray[np.float32],
     opposite: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Arguments and answer as of `join`."""
+    """Arguments and answer as of `spanning_tree_signs`."""
     chance = np.random.default_rng(0).standard_exponential(len(weights), dtype=np.float32)
-    signs, parts = join(count, left, right, weights, opposite)
-    other, _ = join(count, left, right, weights * chance, opposite)
+    signs, parts = spanning_tree_signs(count, left, right, weights, opposite)
+    other, _ = spanning_tree_signs(count, left, right, weights * chance, opposite)
     differs = signs != other
     alike = np.flatnonzero(differs[left] == differs[right])
-    agreed = Forest(count)
+    agreed = SignedUnionFind(count)
     agreed.join(left, right, np.zeros_like(opposite), alike)
     region = agreed.read()[1]
     between = np.flatnonzero(region[left] != region[right])
@@ -70,7 +71,7 @@ def _by_votes(
     agree = np.where(opposite[between], -signs[left], signs[left]) * signs[right]
     pairs, value = _summed(region[left], region[right], agree * votes)
     weights = (1.0 / (1e-12 + np.abs(value))).astype(np.float32)
-    turned, groups = join(int(region.max()) + 1, *pairs, weights, value < 0)
+    turned, groups = spanning_tree_signs(int(region.max()) + 1, *pairs, weights, value < 0)
     return signs * turned[region], groups[region]
 
 

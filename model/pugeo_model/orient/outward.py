@@ -12,16 +12,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.orient.mst import dots
+from pugeo_model.orient.mst import row_dots
+from pugeo_model.tuning import TUNING
 
-__all__ = ["Evidence", "gather", "outward"]
-
-# A closed surface has volume / (area * radius) near 1/3 or above; below this it is as good as open.
-_CLEAR_VOLUME = 0.05
+__all__ = ["OutwardEvidence", "collect_evidence", "outward_signs"]
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class OutwardEvidence:
     """Sums over the points of each of ``P`` parts; a part may have none.
 
     Attributes:
@@ -47,21 +45,21 @@ class Evidence:
     end_normals: NDArray[np.float64]
 
     @classmethod
-    def join(cls, several: "list[Evidence]") -> "Evidence":
+    def join(cls, several: "list[OutwardEvidence]") -> "OutwardEvidence":
         """The parts of all, one after the other."""
         return cls(
             *(np.concatenate([getattr(each, f.name) for each in several]) for f in fields(cls))
         )
 
 
-def gather(
+def collect_evidence(
     points: NDArray[np.float64],
     normals: NDArray[Any],
     parts: NDArray[np.intp],
     total: int,
     neighbours: NDArray[np.integer[Any]],
     core: NDArray[np.bool_],
-) -> Evidence:
+) -> OutwardEvidence:
     """Sum up what speaks for a side.
 
     Args:
@@ -88,21 +86,21 @@ def gather(
     ends = np.stack([np.full((total, 3), np.inf), np.full((total, 3), -np.inf)], axis=2)
     end_normals = np.zeros((total, 3, 2))
     _find_ends(points, normals, parts, ends, end_normals)
-    return Evidence(
+    return OutwardEvidence(
         count=count,
         position=position,
         normal=summed(normals),
         area=summed(area),
         flux=summed(area[:, None] * normals),
-        volume=summed(area * dots(points, normals)),
-        scale=summed(area * np.sqrt(dots(arms, arms))),
+        volume=summed(area * row_dots(points, normals)),
+        scale=summed(area * np.sqrt(row_dots(arms, arms))),
         ends=ends,
         end_normals=end_normals,
     )
 
 
-def outward(
-    evidence: Evidence, groups: NDArray[np.intp], signs: NDArray[np.float64]
+def outward_signs(
+    evidence: OutwardEvidence, groups: NDArray[np.intp], signs: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Sign of each group of parts as a whole, ``(groups,)``.
 
@@ -124,7 +122,7 @@ def outward(
     count = np.maximum(summed(evidence.count), 1.0)[:, None]
     centre = summed(evidence.position) / count
     here = centre[groups]
-    volume = summed(signs * (evidence.volume - dots(here, evidence.flux)))
+    volume = summed(signs * (evidence.volume - row_dots(here, evidence.flux)))
     own = evidence.position / np.maximum(evidence.count, 1.0)[:, None]
     apart = np.where(evidence.count > 0, np.linalg.norm(own - here, axis=1), 0.0)
     scale = summed(np.hypot(evidence.scale, evidence.area * apart))
@@ -136,7 +134,7 @@ def outward(
             outermost += direction * signs[last] * evidence.end_normals[last, axis, end]
     mean = summed(signs[:, None] * evidence.normal) / count
     upward = mean @ np.array([0.01, 0.1, 1.0])
-    closed = np.abs(volume) > _CLEAR_VOLUME * scale
+    closed = np.abs(volume) > TUNING.clear_volume * scale
     verdict = np.where(closed, volume, np.where(np.abs(outermost) > 0.5, outermost, upward))
     return np.where(verdict < 0, -1.0, 1.0)
 

@@ -7,10 +7,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Forest"]
+__all__ = ["SignedUnionFind"]
 
 
-class Forest:
+class SignedUnionFind:
     """Parts of ``count`` nodes, within each of which signs are known relative to each other.
 
     Args:

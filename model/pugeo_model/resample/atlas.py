@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The atlas: charts of all patches side by side, and spots to land on them."""
+"""The charts of a tile side by side (the atlas), and the points that are projected onto them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
+from pugeo_model.tuning import TUNING
 
-__all__ = ["BLENDED", "Atlas", "Landed", "Landing", "PatchCharts", "bind", "screened"]
+__all__ = [
+    "BLENDED_CHARTS",
+    "Atlas",
+    "PatchCharts",
+    "Projected",
+    "ProjectionQuery",
+    "charts_per_candidate",
+]
 
-BLENDED = 3
-"""Charts that every point lands on."""
-
-_MANY = 12  # candidates a chart, of 8 points and more
+BLENDED_CHARTS = TUNING.blended_charts
+"""Number of nearest charts that a point of the answer is blended from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,26 +62,47 @@ class Atlas:
     code: NDArray[np.float16]
     lift: NDArray[np.float32]
 
+    @classmethod
+    def of(
+        cls, points: NDArray[np.float64], frames: Frames, charts: Sequence[PatchCharts]
+    ) -> "Atlas":
+        """Put the charts of all patches side by side, in the order of the points.
+
+        Args:
+            points: ``(M, 3)`` float64, unit scale.
+            frames: of the ``M`` points.
+            charts: of all patches, in any order; together their rows are those that lead.
+        """
+        parts = sorted(charts, key=lambda part: int(part.rows[0]))
+        return cls(
+            points,
+            frames,
+            np.concatenate([part.candidates for part in parts]),
+            np.concatenate([part.T for part in parts]),
+            np.concatenate([part.code for part in parts]),
+            np.concatenate([part.lift for part in parts]),
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class Landing:
-    """Spots to be landed.
+class ProjectionQuery:
+    """Points to be projected onto the charts near them.
 
     Attributes:
         atlas: the charts.
-        spots: ``(m, 3)`` float64, unit scale.
+        points: ``(m, 3)`` float64, unit scale.
         charts: ``(m, k)`` int32 rows of the atlas, nearest first.
-        fixed: so many of the first spots stay where they are and only get normals.
+        fixed: number of leading points that stay in place and only get normals.
     """
 
     atlas: Atlas
-    spots: NDArray[np.float64]
+    points: NDArray[np.float64]
     charts: NDArray[np.int32]
     fixed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Landed:
+class Projected:
     """Points on the surface.
 
     Attributes:
@@ -90,34 +117,20 @@ class Landed:
     error: NDArray[np.float32]
     nearest: NDArray[np.int32]
 
-    def take(self, rows: NDArray[np.integer[Any]] | slice) -> "Landed":
+    def take(self, rows: NDArray[np.integer[Any]] | slice) -> "Projected":
         """The points of the given rows, in that order."""
-        return Landed(self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows])
+        return Projected(
+            self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows]
+        )
 
 
-def bind(points: NDArray[np.float64], frames: Frames, charts: Sequence[PatchCharts]) -> Atlas:
-    """Put the charts of all patches side by side, whatever order they come in.
+def charts_per_candidate(candidates: int) -> int:
+    """Number of charts that a candidate is projected onto, 1 or 2.
 
-    Args:
-        points: ``(M, 3)`` float64.
-        frames: of the ``M`` points.
-        charts: of all patches; the rows of each follow those of another.
-    """
-    parts = sorted(charts, key=lambda part: int(part.rows[0]))
-    return Atlas(
-        points,
-        frames,
-        np.concatenate([part.candidates for part in parts]),
-        np.concatenate([part.T for part in parts]),
-        np.concatenate([part.code for part in parts]),
-        np.concatenate([part.lift for part in parts]),
-    )
-
-
-def screened(candidates: int) -> int:
-    """Charts that a candidate lands on: one more would move what survives, and that lands again.
+    Fewer than `BLENDED_CHARTS` suffice: survivors are projected again. Where a chart has many
+    candidates, those between charts matter less.
 
     Args:
-        candidates: of each chart. Where they are many, those between charts matter less.
+        candidates: of each chart.
     """
-    return 2 if candidates < _MANY else 1
+    return 2 if candidates < TUNING.many_candidates else 1

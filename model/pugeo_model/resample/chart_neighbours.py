@@ -9,10 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["by_chart", "crowd"]
+__all__ = ["chart_neighbours", "group_by_chart"]
 
 
-def by_chart(owner: NDArray[np.int32], charts: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def group_by_chart(
+    owner: NDArray[np.int32], charts: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Samples sorted by chart: starts ``(charts + 1,)`` and sample rows ``(K,)``, ascending."""
     start = np.zeros(charts + 1, dtype=np.int64)
     order = np.empty(len(owner), dtype=np.int32)
@@ -20,28 +22,28 @@ def by_chart(owner: NDArray[np.int32], charts: int) -> tuple[NDArray[np.int64], 
     return start, order
 
 
-def crowd(
+def chart_neighbours(
     samples: NDArray[np.float64],
     owner: NDArray[np.int32],
     neighbours: NDArray[np.int32],
-    reach: NDArray[np.float64],
+    radius: NDArray[np.float64],
     most: int,
 ) -> NDArray[np.int32]:
-    """Samples within reach of each sample, nearest charts searched first.
+    """Samples within radius of each sample, nearest charts searched first.
 
     Args:
         samples: ``(K, 3)``.
         owner: ``(K,)`` chart of each.
         neighbours: ``(M, k)`` charts near each chart, nearest first.
-        reach: ``(K,)`` distance.
+        radius: ``(K,)`` distance.
         most: longest list.
 
     Returns:
         ``(K, most)`` int32 rows, ``-1`` beyond the end of a list.
     """
-    start, order = by_chart(owner, len(neighbours))
+    start, order = group_by_chart(owner, len(neighbours))
     found = np.empty((len(samples), most), dtype=np.int32)
-    _crowd(samples, neighbours, reach, start, order, found)
+    _chart_neighbours(samples, neighbours, radius, start, order, found)
     return found
 
 
@@ -115,7 +117,7 @@ def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, z
             j = order[at]
             a, b, c = samples[j, 0] - x, samples[j, 1] - y, samples[j, 2] - z
             rows[count], xs[count], ys[count], zs[count] = j, a, b, c
-            # Without a branch: what is out of everyone's reach is written over.
+            # Without a branch: what is out of everyone's radius is written over.
             count += a * a + b * b + c * c <= widest * widest
     return count
 
@@ -133,7 +135,7 @@ def _longest(start, neighbours):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-untyped-def]
+def _chart_neighbours(samples, neighbours, radius, start, order, found):  # type: ignore[no-untyped-def]
     """All samples of a chart look at one list, gathered once."""
     most = found.shape[1]
     spheres = _spheres(start, order, samples)
@@ -146,11 +148,11 @@ def _crowd(samples, neighbours, reach, start, order, found):  # type: ignore[no-
         own_samples = order[start[chart] : start[chart + 1]]
         if len(own_samples) == 0:
             continue
-        widest = spheres[chart, 3] + reach[own_samples].max()
+        widest = spheres[chart, 3] + radius[own_samples].max()
         count = _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows)
         for own in range(len(own_samples)):
             i = own_samples[own]
-            limit = np.float32(reach[i] * reach[i])
+            limit = np.float32(radius[i] * radius[i])
             _flag(xs[own], ys[own], zs[own], limit, count, xs, ys, zs, within)
             within[own] = 0
             # Written without a branch, which would be guessed wrong for every other one.

@@ -3,7 +3,7 @@
 
 Every candidate weighs the more the closer its neighbours are; the heaviest is removed and its
 neighbours lightened until the wanted number is left. Evenness is local: each candidate has its
-own reach, so a sparse region is thinned as evenly as a dense one. Ties go to the lower row, so
+own radius, so a sparse region is thinned as evenly as a dense one. Ties go to the lower row, so
 the result depends on the input alone.
 """
 
@@ -13,25 +13,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["eliminate", "reach_of_share"]
+from pugeo_model.tuning import TUNING
 
-_LIMIT, _LIMIT_POWER = 0.65, 1.5
-_NEARLY = 1.3  # times the survivors: so many are left when `level` is asked
-_DRAWER_BITS = 14  # of a float32 that do not matter for its drawer: 512 drawers an octave
+__all__ = ["eliminate", "packing_radius"]
+
+_BUCKET_BITS = 14  # of a float32 that do not matter for its bucket: 512 buckets an octave
 
 
-def reach_of_share(area: NDArray[np.float64]) -> NDArray[np.float64]:
+def packing_radius(area: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of neighbours in the hexagonal packing that gives each survivor ``area``."""
-    reach: NDArray[np.float64] = np.sqrt(area * (2.0 / np.sqrt(3.0)))
-    return reach
+    radius: NDArray[np.float64] = np.sqrt(area * (2.0 / np.sqrt(3.0)))
+    return radius
 
 
 def eliminate(
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],
-    reach: NDArray[np.float64],
+    radius: NDArray[np.float64],
     keep: int,
-    burden: NDArray[np.float64] | None = None,
+    penalty: NDArray[np.float64] | None = None,
     counted: NDArray[np.bool_] | None = None,
     level: Callable[[NDArray[np.bool_]], NDArray[np.float64]] | None = None,
 ) -> NDArray[np.int64]:
@@ -41,9 +41,9 @@ def eliminate(
         points: ``(C, 3)`` float64.
         neighbours: ``(C, k)`` int32 rows, then ``-1``. Mutual, but for lists that are full: who is
             on a list and does not have it on its own is not lightened when it goes.
-        reach: ``(C,)`` distance within which candidates crowd each other.
+        radius: ``(C,)`` distance within which candidates crowd each other.
         keep: number of survivors among those counted, of which there are as many at least.
-        burden: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
+        penalty: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
             would not do: an outlier has no neighbours, and its weight is next to nothing.
         counted: ``(C,)`` who is counted, ``None`` for all: the others, of a margin, are thinned
             alongside for as long as it takes.
@@ -54,14 +54,14 @@ def eliminate(
     there = int(np.count_nonzero(counted))
     if not 0 <= keep <= there:
         raise ValueError(f"keep must lie in 0..{there}, not {keep}")
-    extra = np.zeros(len(points)) if burden is None else burden
+    extra = np.zeros(len(points)) if penalty is None else penalty
     # Weight limiting (section 3.2 there): without it the closest pairs decide alone, and the
     # survivors' spacing varies by 11 % instead of 8 %.
-    floor = _LIMIT * (1.0 - (keep / max(there, 1)) ** _LIMIT_POWER)
+    floor = TUNING.weight_limit * (1.0 - (keep / max(there, 1)) ** TUNING.weight_limit_power)
     key = extra.astype(np.float64)
-    weights = _weigh(points, neighbours, reach, floor, key)
+    weights = _weigh(points, neighbours, radius, floor, key)
     alive, factor = np.ones(len(points), dtype=np.bool_), np.ones(len(points))
-    nearly = min(int(_NEARLY * keep), there)
+    nearly = min(int(TUNING.levelling_at * keep), there)
     if level is not None and nearly > keep:
         _thin(neighbours, weights, counted, there - nearly, key, alive, factor)
         factor = level(alive)
@@ -91,17 +91,17 @@ def _sift_down(keys, rows, size, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _drawer(key):  # type: ignore[no-untyped-def]
-    """Number of the drawer of a key: never lower for a heavier key, and finer for light ones."""
+def _bucket(key):  # type: ignore[no-untyped-def]
+    """Number of the bucket of a key: never lower for a heavier key, and finer for light ones."""
     bits = np.float32(max(key, 0.0)).view(np.int32) & np.int32(0x7FFFFFFF)
-    return bits >> np.int32(_DRAWER_BITS)
+    return bits >> np.int32(_BUCKET_BITS)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-def]
+def _weigh(points, neighbours, radius, floor, key):  # type: ignore[no-untyped-def]
     """What each neighbour weighs, ``(C, k)``; all of it is added to the keys."""
     weights = np.empty(neighbours.shape, dtype=np.float32)
-    inverse = 1.0 / reach
+    inverse = 1.0 / radius
     for i in range(len(neighbours)):
         total = 0.0
         for at in range(neighbours.shape[1]):
@@ -123,12 +123,12 @@ def _weigh(points, neighbours, reach, floor, key):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def _fill_drawers(key, alive):  # type: ignore[no-untyped-def]
-    """Linked lists of candidates: the first of each drawer, and the next after each candidate."""
+def _fill_buckets(key, alive):  # type: ignore[no-untyped-def]
+    """Linked lists of candidates: the first of each bucket, and the next after each candidate."""
     top = 0
     for i in range(len(key)):
         if alive[i]:
-            top = max(top, _drawer(key[i]))
+            top = max(top, _bucket(key[i]))
     first = np.full(top + 1, -1, dtype=np.int32)
     after = np.empty(len(key), dtype=np.int32)
     for i in range(len(key) - 1, -1, -1):
@@ -139,19 +139,19 @@ def _fill_drawers(key, alive):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put(first, after, key, row):  # type: ignore[no-untyped-def]
-    drawer = _drawer(key[row])
-    after[row] = first[drawer]
-    first[drawer] = row
+    bucket = _bucket(key[row])
+    after[row] = first[bucket]
+    first[bucket] = row
 
 
 @njit(cache=True, nogil=True)
 def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
-    """Make a heap of what still belongs into the drawer ``top``; returns its size."""
+    """Make a heap of what still belongs into the bucket ``top``; returns its size."""
     size = 0
     row = first[top]
     while row >= 0:
         following = after[row]
-        if _drawer(key[row]) == top:
+        if _bucket(key[row]) == top:
             keys[size], rows[size] = key[row], row
             size += 1
         else:
@@ -166,11 +166,11 @@ def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
 def _thin(neighbours, weights, counted, surplus, key, alive, factor):  # type: ignore[no-untyped-def]
     """Remove the heaviest until there is no surplus.
 
-    Keys only ever fall, so the heaviest are found drawer by drawer, and a candidate that has
+    Keys only ever fall, so the heaviest are found bucket by bucket, and a candidate that has
     become lighter is put where it belongs only when it is met: one heap of all, kept in order at
     every change, takes twice as long.
     """
-    first, after = _fill_drawers(key, alive)
+    first, after = _fill_buckets(key, alive)
     keys, rows = np.empty(len(key)), np.empty(len(key), dtype=np.int32)
     top, size = len(first), 0
     while surplus > 0:
@@ -179,7 +179,7 @@ def _thin(neighbours, weights, counted, surplus, key, alive, factor):  # type: i
             size = _open(top, first, after, key, keys, rows)
             continue
         row = rows[0]
-        belongs = _drawer(key[row]) == top
+        belongs = _bucket(key[row]) == top
         if belongs and key[row] < keys[0]:
             keys[0] = key[row]
             _sift_down(keys, rows, size, 0)

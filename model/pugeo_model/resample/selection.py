@@ -5,39 +5,33 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.geometry.areas import averaged
-from pugeo_model.resample.chart_neighbours import crowd
-from pugeo_model.resample.elimination import eliminate, reach_of_share
+from pugeo_model.geometry.areas import neighbour_mean
+from pugeo_model.resample.chart_neighbours import chart_neighbours
+from pugeo_model.resample.elimination import eliminate, packing_radius
 from pugeo_model.resample.repulsion import repel
+from pugeo_model.tuning import TUNING
 
-__all__ = ["even_out", "nearest_charts", "place"]
+__all__ = ["nearest_charts", "select", "spread_evenly"]
 
 _NEAR_CHARTS = 12  # charts searched around a sample
 _CROWD = 16  # longest neighbour list among candidates, denser than the survivors
 _SETTLED = 14  # among survivors
-_CHANCE = 1e-5  # largest burden that the seed draws: enough for another sample, not a worse one
+_CHANCE = 1e-5  # largest penalty that the seed draws: enough for another sample, not a worse one
 _PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
 _SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
-_DOUBT = 0.1  # burden for each time the usual error that a candidate is beyond
-_USUAL = 0.85  # times R to the power below: errors usual around it that bring no burden
-_FINER = 0.68  # among more points a hole is larger than an error
-_LEAST = 2.2  # of these: with fewer there are holes at R=2
-_MOST = 5.6  # with more, tips of thin fins are overshot
-_PINNED = -1e9  # burden of points that must survive: no weight comes near it
-_FAR = 1.4  # reaches at which survivors are looked for: they push within 1.3, and move
-_ROUNDS = 6
-_WIDE = 8  # times that errors are averaged over neighbours
+_PINNED = -1e9  # penalty of points that must survive: no weight comes near it
+_FAR = 1.4  # radii at which survivors are looked for: they push within 1.3, and move
+_ERROR_ROUNDS = 8  # rounds of averaging expected errors over neighbours
 _LOCAL = 2  # times that the number left of each chart is
-_LEVELLING = 6  # power of a region's density by which its weights grow
 
 
-def place(
+def select(
     candidates: NDArray[np.float64],
     normals: NDArray[np.float32],
     error: NDArray[np.float32],
     owner: NDArray[np.int32],
     wanted: int,
-    share: NDArray[np.float64],
+    area: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     seed: int,
     pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
@@ -54,7 +48,7 @@ def place(
         error: ``(C,)`` float32 that each expects of itself, in spacings.
         owner: ``(C,)`` int32 nearest chart of each.
         wanted: number of points of the core's charts, at most as many as their candidates.
-        share: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        area: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: decides between candidates that are as good as each other.
         pinned: points ``(n, 3)`` and normals ``(n, 3)`` of the charts' own points, where these may
@@ -66,57 +60,61 @@ def place(
         all_stay: all that are pinned are among the ``wanted``, even or not.
 
     Returns:
-        Of the core: the charts whose own points stay, ascending; the other spots, float64; and the
+        Of the core: the charts whose own points stay, ascending; the other queries, float64; and the
         owner of each of these, int32.
     """
-    core = np.ones(len(share), dtype=np.bool_) if core is None else core
+    core = np.ones(len(area), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
-    there = np.arange(len(share)) < (len(share) if charted is None else charted)
-    reach = reach_of_share(share * (np.count_nonzero(core) / wanted))
-    usual = float(_USUAL * (wanted / np.count_nonzero(core)) ** _FINER)
-    usual = min(max(usual, _LEAST), _MOST)
-    burden = _doubt(error.astype(np.float64), owner, near, there, usual)
-    burden += _CHANCE * _draw(candidates, seed)
+    there = np.arange(len(area)) < (len(area) if charted is None else charted)
+    radius = packing_radius(area * (np.count_nonzero(core) / wanted))
+    usual = float(
+        TUNING.usual_error * (wanted / np.count_nonzero(core)) ** TUNING.usual_error_power
+    )
+    usual = min(max(usual, TUNING.usual_error_least), TUNING.usual_error_most)
+    penalty = _error_penalty(error.astype(np.float64), owner, near, there, usual)
+    penalty += _CHANCE * _draw(candidates, seed)
     held = 0
     if pinned is not None:
         held = len(pinned[0])
         owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
-        burden = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), burden])
+        penalty = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), penalty])
 
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
         """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
         left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
         density = _around(left, there, neighbours, _LOCAL) / left[core].mean()
-        weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** _LEVELLING
+        weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** TUNING.levelling_power
         return weight
 
     kept = eliminate(
         candidates,
-        crowd(candidates, owner, near, reach[owner], _CROWD),  # not kept: they are large
-        reach[owner],
+        chart_neighbours(
+            candidates, owner, near, radius[owner], _CROWD
+        ),  # not kept: they are large
+        radius[owner],
         wanted,
-        burden,
+        penalty,
         core[owner],
         level,
     )
-    spots, owner = candidates[kept], owner[kept]
+    queries, owner = candidates[kept], owner[kept]
     first = int(np.searchsorted(kept, held))
-    push = reach[owner]
+    push = radius[owner]
     push[:first] = 0.0  # pushes, and is not pushed
-    spots = _settle(spots, normals[kept], owner, near, reach, push, _ROUNDS)
+    queries = _settle(queries, normals[kept], owner, near, radius, push, TUNING.repulsion_rounds)
     mine = core[owner]
     stay = owner[:first][mine[:first]]
     mine[:first] = False
-    return stay, spots[mine], owner[mine]
+    return stay, queries[mine], owner[mine]
 
 
-def even_out(
+def spread_evenly(
     points: NDArray[np.float64],
     normals: NDArray[np.float32],
     owner: NDArray[np.int32],
-    share: NDArray[np.float64],
+    area: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     core: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
@@ -129,14 +127,14 @@ def even_out(
         points: ``(K, 3)`` of the core's charts.
         normals: ``(K, 3)`` unit.
         owner: ``(K,)`` nearest chart of each.
-        share: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        area: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
         neighbours: ``(M, k)`` charts near each chart.
         core: ``(M,)`` charts whose points these are.
     """
     near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
-    reach = reach_of_share(share * (np.count_nonzero(core) / len(points)))
-    push = np.where(core[near].all(axis=1), reach, 0.0)[owner]
-    return _settle(points, normals, owner, near, reach, push, 1)
+    radius = packing_radius(area * (np.count_nonzero(core) / len(points)))
+    push = np.where(core[near].all(axis=1), radius, 0.0)[owner]
+    return _settle(points, normals, owner, near, radius, push, 1)
 
 
 def _settle(
@@ -144,17 +142,17 @@ def _settle(
     normals: NDArray[np.float32],
     owner: NDArray[np.int32],
     near: NDArray[np.int32],
-    reach: NDArray[np.float64],
+    radius: NDArray[np.float64],
     push: NDArray[np.float64],
     rounds: int,
 ) -> NDArray[np.float64]:
-    """Points ``(K, 3)`` pushed apart: ``reach`` of charts, ``push`` of points, 0 of who stays."""
-    lists = crowd(points, owner, near, _FAR * reach[owner], _SETTLED)
+    """Points ``(K, 3)`` pushed apart: ``radius`` of charts, ``push`` of points, 0 of who stays."""
+    lists = chart_neighbours(points, owner, near, _FAR * radius[owner], _SETTLED)
     return repel(points, normals, lists, push, rounds)
 
 
 def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Numbers in 0..1, ``(C,)``, that a place and the seed decide.
+    """Numbers in 0..1, ``(C,)``, that a select and the seed decide.
 
     And not the row: a candidate in the margins of several tiles draws the same in all of them.
     """
@@ -172,14 +170,14 @@ def _around(
     neighbours: NDArray[np.int32],
     times: int,
 ) -> NDArray[np.float64]:
-    """Means over those neighbours that are ``there``, of means, and so on; see `averaged`."""
-    sums: NDArray[np.float64] = averaged(np.where(there, values, 0.0), neighbours, times)
+    """Means over those neighbours that are ``there``, of means, and so on; see `neighbour_mean`."""
+    sums: NDArray[np.float64] = neighbour_mean(np.where(there, values, 0.0), neighbours, times)
     if not there.all():
-        sums /= np.maximum(averaged(there.astype(np.float64), neighbours, times), 1e-12)
+        sums /= np.maximum(neighbour_mean(there.astype(np.float64), neighbours, times), 1e-12)
     return sums
 
 
-def _doubt(
+def _error_penalty(
     error: NDArray[np.float64],
     owner: NDArray[np.int32],
     near: NDArray[np.int32],
@@ -189,19 +187,19 @@ def _doubt(
     """Burden of candidates that expect more than ``usual`` times the error usual around them.
 
     Compared with their surroundings, not with the whole cloud: where all are unsure, as along an
-    edge, a burden on all would only tear a hole. But with wide ones: at the rim of a fin all are
+    edge, a penalty on all would only tear a hole. But with wide ones: at the rim of a fin all are
     unsure, and some are beyond it.
     """
     charts = len(near)
     count = np.maximum(np.bincount(owner, minlength=charts), 1)
-    around = _around(np.bincount(owner, error, charts) / count, there, near, _WIDE)
+    around = _around(np.bincount(owner, error, charts) / count, there, near, _ERROR_ROUNDS)
     excess = error / np.maximum(around[owner], 1e-12) - usual
-    burden: NDArray[np.float64] = _DOUBT * np.maximum(excess, 0.0)
-    return burden
+    penalty: NDArray[np.float64] = TUNING.error_penalty * np.maximum(excess, 0.0)
+    return penalty
 
 
 def nearest_charts(
-    spots: NDArray[np.float64],
+    queries: NDArray[np.float64],
     owner: NDArray[np.int32],
     points: NDArray[np.float64],
     neighbours: NDArray[np.int32],
@@ -211,28 +209,28 @@ def nearest_charts(
     """The ``count`` charts nearest to each spot among its owner and that one's neighbours.
 
     Args:
-        spots: ``(K, 3)``.
+        queries: ``(K, 3)``.
         owner: ``(K,)`` chart of each.
         points: ``(M, 3)``.
         neighbours: ``(M, k)`` points near each point.
         count: how many charts. The owner stands in for those that are not there.
         charted: of the points so many lead that have charts, by default all.
     """
-    found = np.empty((len(spots), count), dtype=np.int32)
+    found = np.empty((len(queries), count), dtype=np.int32)
     charted = len(points) if charted is None else charted
-    _nearest_charts(spots, owner, points, neighbours[:, :_NEAR_CHARTS], charted, found)
+    _nearest_charts(queries, owner, points, neighbours[:, :_NEAR_CHARTS], charted, found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _nearest_charts(spots, owner, points, neighbours, charted, found):  # type: ignore[no-untyped-def]
+def _nearest_charts(queries, owner, points, neighbours, charted, found):  # type: ignore[no-untyped-def]
     count, k = found.shape[1], neighbours.shape[1]
     best = np.empty(count)
     charts = np.empty(k + 1, dtype=np.int32)
     around = np.empty((3, k + 1))
     squared = np.empty(k + 1)
     before = -1
-    for i in range(len(spots)):
+    for i in range(len(queries)):
         if owner[i] != before:
             # Spots mostly come chart by chart: what is around one is looked up once.
             before = owner[i]
@@ -240,7 +238,7 @@ def _nearest_charts(spots, owner, points, neighbours, charted, found):  # type: 
             for near in range(k + 1):
                 for a in range(3):
                     around[a, near] = points[charts[near], a]
-        x, y, z = spots[i, 0], spots[i, 1], spots[i, 2]
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
         for near in range(k + 1):
             a = x - around[0, near]
             b = y - around[1, near]

@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import knn, nearest, spacing
-from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.geometry.patches import Patch, extract_patch
 from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.corpus import Shape
 
@@ -93,7 +93,7 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         distance, neighbours = nearest(points)
         # The outermost points lack neighbours beyond the rim; only far rings ever see them.
         frames = fit_frames(points, neighbours, spacing(distance))
-        patch = cut(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
+        patch = extract_patch(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
         truths, owners = self._truths(shape, tree, frames, core_count, seed, rng)
         near = patch.neighbours[:core_count, :12].astype(np.int64)
         typical = float(frames.spacing[:core_count].mean())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.geometry.neighbours import knn
-from pugeo_model.resample.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, packing_radius
 
 __all__ = [
     "SIZES",
@@ -152,7 +152,7 @@ def poisson_disk(
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     share = 0.5 * np.linalg.norm(cross, axis=1).sum() / count
     candidates = uniform(vertices, faces, _OVERSAMPLE * count, rng)
-    reach = np.full(len(candidates), reach_of_share(np.array(share)))
+    reach = np.full(len(candidates), packing_radius(np.array(share)))
     distance, rows = knn(cKDTree(candidates), candidates, 28, reach[0])
     others = np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(
         np.int32

@@ -20,10 +20,10 @@ import torch
 from torch import Tensor
 
 from pugeo_model.mesh.distance import MeshDistance
-from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
-from pugeo_model.resample.atlas import BLENDED
+from pugeo_model.resample.atlas import BLENDED_CHARTS
 from pugeo_model.training.batches import Sample
 from pugeo_model.training.corpus import Shape
 
@@ -129,7 +129,7 @@ class JointLoss:
         ground = _Ground.of(samples, w.noise)
         points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
 
-        charts, uv = net(gather([sample.patch for sample in samples]), ground.quadric, count)
+        charts, uv = net(stack_patches([sample.patch for sample in samples]), ground.quadric, count)
         local, normals, log_error = evaluate(net.surface, charts, uv)
         cloud = points[:, None] + spacing[:, None, None] * (local @ axes)
         world_normals = normals @ axes
@@ -196,38 +196,38 @@ class JointLoss:
         jitter = torch.from_numpy(
             rng.normal(size=(len(whole), _SPOTS, 3), scale=0.1).astype(np.float32)
         )
-        spots = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
+        queries = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
         candidates = torch.cat([whole[:, None], torch.from_numpy(near)[whole, :8]], dim=1)
-        apart = (spots[:, :, None] - points[candidates][:, None]).square().sum(-1)
-        ranks = apart.topk(BLENDED, dim=-1, largest=False).indices
+        apart = (queries[:, :, None] - points[candidates][:, None]).square().sum(-1)
+        ranks = apart.topk(BLENDED_CHARTS, dim=-1, largest=False).indices
         chosen = candidates.unsqueeze(1).expand(-1, _SPOTS, -1).gather(2, ranks)
         held = torch.from_numpy(rng.permutation(len(truths))[: len(whole)])
-        spots = torch.cat([spots.reshape(-1, 3), truths[held]])
-        chosen = torch.cat([chosen.reshape(-1, BLENDED), owners[held, :BLENDED]])
+        queries = torch.cat([queries.reshape(-1, 3), truths[held]])
+        chosen = torch.cat([chosen.reshape(-1, BLENDED_CHARTS), owners[held, :BLENDED_CHARTS]])
         owner = torch.cat([whole.repeat_interleave(_SPOTS), owners[held, 0]])
         # Patch by patch, as their meshes are asked.
         patch = torch.from_numpy(np.searchsorted(start, owner.numpy(), side="right") - 1)
         order = torch.argsort(patch, stable=True)
-        spots, chosen, owner = spots[order], chosen[order], owner[order]
+        queries, chosen, owner = queries[order], chosen[order], owner[order]
         stays = (order >= len(order) - len(held)).unsqueeze(1)
         flat = chosen.flatten()
         picked = Charts(charts.T[flat], charts.code[flat], charts.lift[flat], charts.quadric[flat])
-        offsets = spots[:, None] - points[chosen]
+        offsets = queries[:, None] - points[chosen]
         step, normal, _, (steps, log_errors) = blend(
             net.surface, picked, offsets, axes[chosen], spacing[chosen]
         )
-        landed = spots + step
+        projected = queries + step
         counts = torch.bincount(patch, minlength=len(samples)).tolist()
-        foot, true_normal = self._project(samples, counts, landed.detach())
+        foot, true_normal = self._project(samples, counts, projected.detach())
         scale = spacing[owner]
         share = trust[owner] / trust[owner].sum()
-        miss = _length(landed - torch.where(stays, spots, foot)) / scale
+        miss = _length(projected - torch.where(stays, queries, foot)) / scale
         turn = _unoriented(normal, true_normal)
         # One chart alone is judged against the foot's plane: near enough, and a search less.
-        alone = spots[:, None] + steps - foot[:, None]
+        alone = queries[:, None] + steps - foot[:, None]
         alone = (alone * true_normal[:, None]).sum(-1).abs() / scale[:, None]
         distance = offsets.square().sum(-1) / spacing[chosen].square()
-        nearby = torch.exp(-distance / 0.64) / BLENDED
+        nearby = torch.exp(-distance / 0.64) / BLENDED_CHARTS
         expected = (log_errors - torch.log(alone.detach() + 0.005)).abs().mean(dim=1)
         return {
             "blended_p2f": (share * (miss + cloud.shape[1] * _outlying(miss))).sum(),

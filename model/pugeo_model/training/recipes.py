@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.losses import Weights
@@ -28,7 +28,7 @@ def read_recipe(name_or_path: str) -> Recipe:
     """A recipe by its name, or from a file; what a file leaves out is as in ``Recipe``.
 
     Raises:
-        BadOption: no such recipe, or it holds what no recipe has.
+        BadOptionError: no such recipe, or it holds what no recipe has.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
@@ -37,13 +37,13 @@ def read_recipe(name_or_path: str) -> Recipe:
         raw = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError:
         known = available_recipes()
-        raise BadOption(
+        raise BadOptionError(
             f"no recipe {name_or_path!r}: give one of {', '.join(known)} or a .toml file",
             value=name_or_path,
             allowed=known,
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadOption(f"{path} is not TOML: {error}", value=name_or_path) from error
+        raise BadOptionError(f"{path} is not TOML: {error}", value=name_or_path) from error
     values: dict[str, Any] = {}
     for key, value in raw.items():
         values[key] = _table(path, key, value) if key in _TABLES else value
@@ -53,7 +53,7 @@ def read_recipe(name_or_path: str) -> Recipe:
 
 def _table(path: Path, name: str, raw: Any) -> Any:
     if not isinstance(raw, Mapping):
-        raise BadOption(f"{path}: {name} must be a table", value=name)
+        raise BadOptionError(f"{path}: {name} must be a table", value=name)
     values = dict(raw)
     if "options" in values:
         values["options"] = tuple(values["options"].items())
@@ -64,7 +64,7 @@ def _make(path: Path, kind: Any, values: dict[str, Any]) -> Any:
     known = [field.name for field in fields(kind)]
     unknown = sorted(set(values) - set(known))
     if unknown:
-        raise BadOption(
+        raise BadOptionError(
             f"{path}: {unknown[0]!r} is unknown; there are {', '.join(known)}",
             value=unknown[0],
             allowed=known,

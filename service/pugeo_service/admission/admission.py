@@ -15,7 +15,7 @@ from typing import Self
 from pugeo_service.admission.fair_share import check_share
 from pugeo_service.admission.throughput import DrainRate, Pace
 from pugeo_service.engine.scheduling import LARGE_PATCHES
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Admission", "Hold"]
 
@@ -84,7 +84,7 @@ class Admission:
             owner: whose share it counts to; ``""`` for nobody's, where no keys are asked for.
 
         Raises:
-            Problem: 503 while draining or where there is no room for even the smallest, 429
+            ProblemError: 503 while draining or where there is no room for even the smallest, 429
                 where the owner holds its share of requests already.
         """
         self.check_draining()
@@ -98,9 +98,9 @@ class Admission:
         """Raise a problem, 503, while the service shuts down."""
         if self.draining:
             detail = "The service is shutting down; another one may take the request."
-            raise Problem(503, "draining", detail, retry_after=5)
+            raise ProblemError(503, "draining", detail, retry_after=5)
 
-    def full(self, patches: int) -> Problem:
+    def full(self, patches: int) -> ProblemError:
         """Return the refusal of a request of ``patches``, with the time until there is room."""
         now = self.totals
         excess = now.patches + patches - self.max_patches
@@ -113,7 +113,7 @@ class Admission:
             "queued_requests": now.requests,
             "capacity_requests": self.max_requests,
         }
-        return Problem(503, "queue_full", detail, retry_after=_bounded(wait), fields=fields)
+        return ProblemError(503, "queue_full", detail, retry_after=_bounded(wait), fields=fields)
 
     def free(self) -> Totals:
         """Return what is not taken up; never less than 0."""
@@ -156,7 +156,7 @@ class Hold:
         """Account for ``size`` further bytes of the body.
 
         Raises:
-            Problem: 503 where all requests together hold too many, 429 where the owner does.
+            ProblemError: 503 where all requests together hold too many, 429 where the owner does.
         """
         total = self._admission.totals
         others = total.bytes - self.mine.bytes
@@ -169,7 +169,7 @@ class Hold:
         """Join the queue with an estimate of the patches (>= 1).
 
         Raises:
-            Problem: 503 where there is no room, 429 where there is and the owner has its share.
+            ProblemError: 503 where there is no room, 429 where there is and the owner has its share.
         """
         admission, total = self._admission, self._admission.totals
         admission.check_draining()
@@ -203,7 +203,7 @@ class Hold:
         An owner's only request is never its own obstacle, however large.
 
         Raises:
-            Problem: 429.
+            ProblemError: 429.
         """
         if not self._owner:
             return
@@ -235,7 +235,7 @@ class Hold:
             sized: whether the patches are counted; an estimate counts only those of others.
 
         Raises:
-            Problem: 503 where the queue is the cause, 504 where the cloud itself takes longer.
+            ProblemError: 503 where the queue is the cause, 504 where the cloud itself takes longer.
         """
         mine = self.mine.patches
         earlier = itertools.takewhile(lambda other: other is not self, self._admission.entered)
@@ -252,7 +252,7 @@ class Hold:
                 "left. Ask for a longer wait, or for no limit."
             )
             fields = {"patches": mine, "seconds_left": round(left, 1)}
-            raise Problem(504, "deadline_too_short", detail, retryable=False, fields=fields)
+            raise ProblemError(504, "deadline_too_short", detail, retryable=False, fields=fields)
         if before + alone > left:
             detail = (
                 f"Requests that come first take {before:.0f} s at the very least, and there are "
@@ -260,7 +260,7 @@ class Hold:
             )
             fields = {"patches_ahead": ahead, "seconds_left": round(left, 1)}
             wait = _bounded(before + alone - left)
-            raise Problem(503, "deadline_unmeetable", detail, retry_after=wait, fields=fields)
+            raise ProblemError(503, "deadline_unmeetable", detail, retry_after=wait, fields=fields)
 
     def _take(self, more: Totals) -> None:
         for account in (self.mine, self._admission.totals, self._admission.owners[self._owner]):

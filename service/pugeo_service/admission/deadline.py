@@ -6,7 +6,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
-from pugeo_service.http.cancellation import DeadlinePassed
+from pugeo_service.http.cancellation import DeadlinePassedError
 from pugeo_service.http.prefer import Preferences
 
 __all__ = ["Deadline"]
@@ -39,13 +39,13 @@ class Deadline:
         """Bound the time in which the body arrives; the work's own begins at the end of it.
 
         Raises:
-            DeadlinePassed: the client stopped waiting.
+            DeadlinePassedError: the client stopped waiting.
         """
         try:
             async with asyncio.timeout(None if self.wait is None else self.left):
                 yield
         except TimeoutError as error:
-            raise DeadlinePassed from error
+            raise DeadlinePassedError from error
         self._ends = self._clock() + self._limit
 
     @property

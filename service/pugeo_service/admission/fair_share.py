@@ -8,7 +8,7 @@ Switches share their buffers by the same rule (dynamic thresholds).
 
 from collections.abc import Callable
 
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["check_share"]
 
@@ -37,7 +37,7 @@ def check_share(
         wait: returns seconds until the owner has given so many units back.
 
     Raises:
-        Problem: 429.
+        ProblemError: 429.
     """
     if not wanted or not elsewhere or held + wanted <= free:
         return
@@ -49,4 +49,4 @@ def check_share(
         "Retry-After."
     )
     fields = {"unit": unit, "held": held, "wanted": wanted, "free": free}
-    raise Problem(429, "share_exceeded", detail, retry_after=seconds, fields=fields)
+    raise ProblemError(429, "share_exceeded", detail, retry_after=seconds, fields=fields)

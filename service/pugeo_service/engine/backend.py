@@ -100,8 +100,8 @@ class Pool(Protocol):
         """Wait for a result without moving it.
 
         Raises:
-            WorkerLost: it ended two workers.
-            EngineLost: the scheduler forgot it.
+            WorkerLostError: it ended two workers.
+            EngineLostError: the scheduler forgot it.
             Exception: what the stage raised.
         """
 

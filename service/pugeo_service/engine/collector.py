@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pugeo_service.engine.dispatch import Dispatch
-from pugeo_service.engine.errors import EngineLost, disk
+from pugeo_service.engine.errors import EngineLostError, disk
 from pugeo_service.engine.messages import Sheet
 from pugeo_service.storage.shared_file import SharedFile
 from pugeo_service.storage.spool import Spool
@@ -31,8 +31,8 @@ class Collector:
         """Append what was written, a chunk at a time: little is in memory whatever the size.
 
         Raises:
-            EngineLost: it is no longer what was told of.
-            DiskFailed: there is no room for it.
+            EngineLostError: it is no longer what was told of.
+            DiskError: there is no room for it.
         """
         done = await self._take(sheet.first)
         while done < sheet.size:
@@ -42,7 +42,7 @@ class Collector:
             done += came
             if not came or done > sheet.size:
                 # It was lost with its worker, and another made it anew, of another length.
-                raise EngineLost("a part of the answer changed while it was brought here")
+                raise EngineLostError("a part of the answer changed while it was brought here")
 
     async def flush(self) -> None:
         """Find out that the disk has no room before the answer begins."""

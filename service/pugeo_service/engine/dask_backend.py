@@ -16,7 +16,7 @@ from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.backend import CORE, QUICK, Stage
-from pugeo_service.engine.errors import EngineLost, WorkerLost
+from pugeo_service.engine.errors import EngineLostError, WorkerLostError
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.task import run_stage
 from pugeo_service.settings import Settings
@@ -175,7 +175,7 @@ class DaskPool:
                 resources=None if stage in QUICK else {CORE: 1},
             )
         except ClosedClientError as error:
-            raise EngineLost(str(error)) from error
+            raise EngineLostError(str(error)) from error
 
     async def wait(self, handle: Any) -> None:
         """Wait for a result without moving it."""
@@ -183,7 +183,7 @@ class DaskPool:
         if error is not None:
             raise _translated(error)
         if handle.cancelled():
-            raise EngineLost(f"the scheduler forgot {handle.key}")
+            raise EngineLostError(f"the scheduler forgot {handle.key}")
 
     async def fetch(self, handle: Any) -> Any:
         """Wait for a result and bring it here."""
@@ -233,7 +233,7 @@ class DaskPool:
     @property
     def _connected(self) -> Any:
         if self._client is None:
-            raise EngineLost("the engine has not started")
+            raise EngineLostError("the engine has not started")
         return self._client
 
     async def _keep_looking(self) -> None:
@@ -242,7 +242,7 @@ class DaskPool:
             try:
                 async with asyncio.timeout(_SILENCE_S):
                     await self._look()
-            except (OSError, EngineLost):
+            except (OSError, EngineLostError):
                 self._workers = frozenset()
                 if self._cluster is None:
                     await self._connect_again()
@@ -280,7 +280,7 @@ class DaskPool:
 
 def _translated(error: BaseException) -> BaseException:
     if isinstance(error, KilledWorker):
-        return WorkerLost(str(error))
+        return WorkerLostError(str(error))
     if isinstance(error, FutureCancelledError):
-        return EngineLost(str(error))
+        return EngineLostError(str(error))
     return error

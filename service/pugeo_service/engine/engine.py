@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from pugeo_service.engine.backend import Pool
 from pugeo_service.engine.dask_backend import DaskPool
-from pugeo_service.engine.errors import EngineLost, WorkerLost
+from pugeo_service.engine.errors import EngineLostError, WorkerLostError
 from pugeo_service.engine.messages import InMemory, Order, Outcome, Readable, Watcher
 from pugeo_service.engine.orchestrator import Flow
 from pugeo_service.engine.sample import sample_body, sample_order
@@ -108,9 +108,9 @@ class Engine:
 
         Raises:
             CloudError: the input cannot be used.
-            WorkerLost: it ended worker processes, even when run alone.
-            EngineLost: the scheduler is gone.
-            DiskFailed: the body cannot be read, or there is no room for the answer.
+            WorkerLostError: it ended worker processes, even when run alone.
+            EngineLostError: the scheduler is gone.
+            DiskError: the body cannot be read, or there is no room for the answer.
         """
         here = asyncio.get_running_loop()
         watcher = Watcher(
@@ -141,7 +141,7 @@ class Engine:
 
         try:
             return await attempt()
-        except (WorkerLost, EngineLost):
+        except (WorkerLostError, EngineLostError):
             # Perhaps a bystander: Dask suspects every task that was queued on a dead worker.
             self._retried += done
             async with self._quarantine:
@@ -150,7 +150,7 @@ class Engine:
     async def _call(self, work: Coroutine[Any, Any, T]) -> T:
         if self._loop is None:
             work.close()
-            raise EngineLost("the engine is not running")
+            raise EngineLostError("the engine is not running")
         return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
 
 

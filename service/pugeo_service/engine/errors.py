@@ -4,18 +4,18 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["DiskFailed", "EngineLost", "WorkerLost", "disk"]
+__all__ = ["DiskError", "EngineLostError", "WorkerLostError", "disk"]
 
 
-class WorkerLost(Exception):
+class WorkerLostError(Exception):
     """A task ended its worker process twice: out of memory, out of time, or a crash."""
 
 
-class EngineLost(Exception):
+class EngineLostError(Exception):
     """The scheduler or all results on it are gone."""
 
 
-class DiskFailed(Exception):
+class DiskError(Exception):
     """The disk of the front does not take or give the bytes of a body or an answer.
 
     Attributes:
@@ -32,9 +32,9 @@ def disk() -> Iterator[None]:
     """Tell errors of the disk within the block from those of connections, which look alike.
 
     Raises:
-        DiskFailed: an ``OSError`` was raised within.
+        DiskError: an ``OSError`` was raised within.
     """
     try:
         yield
     except OSError as error:
-        raise DiskFailed(error) from error
+        raise DiskError(error) from error

@@ -8,7 +8,7 @@ from typing import Any
 
 from pugeo_service.engine import stages
 from pugeo_service.engine.backend import Stage
-from pugeo_service.engine.errors import EngineLost
+from pugeo_service.engine.errors import EngineLostError
 from pugeo_service.engine.worker import warm
 from pugeo_service.settings import Settings
 
@@ -75,7 +75,7 @@ class InlinePool:
             return await asyncio.shield(asyncio.wrap_future(handle))
         except CancelledError as error:
             if handle.cancelled():
-                raise EngineLost("the task was cancelled") from error
+                raise EngineLostError("the task was cancelled") from error
             raise
 
     def release(self, handles: Iterable["Future[Any]"]) -> None:

@@ -57,8 +57,8 @@ class Flow:
 
         Raises:
             CloudError: the input cannot be used.
-            WorkerLost, EngineLost: see the pool.
-            DiskFailed: the body cannot be read, or there is no room for the answer.
+            WorkerLostError, EngineLostError: see the pool.
+            DiskError: the body cannot be read, or there is no room for the answer.
         """
         with disk():
             spool = Spool(self._spool_dir)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pugeo_model import formats, pipeline, weights
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import LimitExceeded
+from pugeo_model.errors import LimitExceededError
 from pugeo_model.formats.limits import Limits
 from pugeo_model.options import Options
 from pugeo_service.engine.answers import (
@@ -32,7 +32,7 @@ from pugeo_service.engine.answers import (
     write_tile,
 )
 from pugeo_service.engine.messages import Head, Order
-from pugeo_service.engine.values import Carried, Charted, Cut, Finished, Prepared, Written
+from pugeo_service.engine.values import Carried, Charted, Finished, Prepared, TileSpec, Written
 from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = [
@@ -77,7 +77,7 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     cloud = formats.read(io.BytesIO(body.data), format=order.format, limits=limits)
     _check_output(cloud, options, order.max_output_points)
     read = time.perf_counter()
-    plan = pipeline.survey(cloud, options)
+    plan = pipeline.make_plan(cloud, options)
     job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
     seconds = {"read": read - start, "prepare": time.perf_counter() - read}
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, order.answer)
@@ -136,12 +136,12 @@ def prepare_tile(tile: Carried) -> Prepared:
     return Prepared(None, job, {"prepare": time.perf_counter() - start})
 
 
-def cut_patches(prepared: Prepared, start: int, stop: int) -> Cut:
+def cut_patches(prepared: Prepared, start: int, stop: int) -> TileSpec:
     """Return some patches, so that only they travel to the worker that runs them."""
-    return Cut(prepared.job.patches[start:stop], prepared.job.candidates)
+    return TileSpec(prepared.job.patches[start:stop], prepared.job.candidates)
 
 
-def predict(part: Cut, model: str) -> Charted:
+def predict(part: TileSpec, model: str) -> Charted:
     """Run patches through the network."""
     start = time.perf_counter()
     network = load_model(model)
@@ -163,7 +163,7 @@ def denoise(prepared: Prepared, batches: Sequence[Charted], model: str) -> Prepa
         model: name of the weights.
     """
     start = time.perf_counter()
-    spots = pipeline.own_spots(prepared.job, _charts(batches))
+    spots = pipeline.input_queries(prepared.job, _charts(batches))
     job = pipeline.denoise(prepared.job, pipeline.land(load_model(model), spots))
     gone = _sizes(batches) if job is not prepared.job else []
     return replace(
@@ -228,7 +228,7 @@ def _check_output(cloud: Cloud, options: Options, limit: int) -> None:
     # Before the work and not after it: preparing five million points takes a while.
     wanted = options.points_out(len(cloud))
     if wanted > limit:
-        raise LimitExceeded(
+        raise LimitExceededError(
             f"The answer would have {wanted:,} points; the limit is {limit:,}. Lower R.",
             code="too_many_output_points",
             name="max_output_points",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Agreed", "Carried", "Charted", "Cut", "Finished", "Prepared", "Written"]
+__all__ = ["Agreed", "Carried", "Charted", "Finished", "Prepared", "TileSpec", "Written"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Cut:
+class TileSpec:
     """Some of the patches of a job."""
 
     patches: list[Any]

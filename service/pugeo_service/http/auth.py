@@ -9,7 +9,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from pugeo_service.keys import Keys
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["CORS", "RequireKey", "harden", "is_open"]
 
@@ -86,7 +86,7 @@ def is_open(path: str) -> bool:
     return path in _OPEN or path.startswith(_OPEN_FOLDERS)
 
 
-def _unauthorized(headers: Headers) -> Problem:
+def _unauthorized(headers: Headers) -> ProblemError:
     given = "authorization" in headers or "x-api-key" in headers
     if given:
         challenge = 'Bearer realm="pugeo", error="invalid_token"'
@@ -94,4 +94,4 @@ def _unauthorized(headers: Headers) -> Problem:
     else:
         challenge = 'Bearer realm="pugeo"'
         detail = "An API key is needed: send Authorization: Bearer KEY, or X-API-Key: KEY."
-    return Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": challenge})
+    return ProblemError(401, "unauthorized", detail, headers={"WWW-Authenticate": challenge})

@@ -11,12 +11,12 @@ from starlette.requests import Request
 from pugeo_model.formats import FORMATS
 from pugeo_service.admission.admission import Hold
 from pugeo_service.http.multipart import FilePart
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 from pugeo_service.storage.spool import Sink, Spool
 
-__all__ = ["ACCEPTED", "Body", "ClientGone", "receive_body", "receive_into"]
+__all__ = ["ACCEPTED", "Body", "ClientDisconnectedError", "receive_body", "receive_into"]
 
 S = TypeVar("S", bound=Sink)
 
@@ -37,7 +37,7 @@ ACCEPTED: dict[str, str | None] = {
 _MULTIPART = "multipart/form-data"
 
 
-class ClientGone(Exception):
+class ClientDisconnectedError(Exception):
     """The client closed the connection; there is nobody to answer."""
 
 
@@ -71,9 +71,9 @@ async def receive_into(sink: S, request: Request, settings: Settings, hold: Hold
         hold: grows with each byte, and so bounds what all requests hold together.
 
     Raises:
-        Problem: 400 empty or malformed, 408 too slow, 413 too large, 415 another content,
+        ProblemError: 400 empty or malformed, 408 too slow, 413 too large, 415 another content,
             503 where the disk is full or fails.
-        ClientGone: the connection was closed.
+        ClientDisconnectedError: the connection was closed.
     """
     try:
         part, kind = _declared(request)
@@ -94,7 +94,7 @@ async def receive_into(sink: S, request: Request, settings: Settings, hold: Hold
 def _check_filled(sink: Sink) -> None:
     if sink.size == 0:
         detail = "The body is empty; send a point cloud as PLY, NPY, NPZ, JSON or text."
-        raise Problem(400, "empty_body", detail)
+        raise ProblemError(400, "empty_body", detail)
 
 
 def _declared(request: Request) -> tuple[FilePart | None, str]:
@@ -102,13 +102,15 @@ def _declared(request: Request) -> tuple[FilePart | None, str]:
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding not in ("", "identity"):
         detail = f"Content-Encoding {encoding[:40]!r} is not understood; send plain bytes."
-        raise Problem(415, "unsupported_encoding", detail, headers={"Accept-Encoding": "identity"})
+        raise ProblemError(
+            415, "unsupported_encoding", detail, headers={"Accept-Encoding": "identity"}
+        )
     declared = request.headers.get("content-type", "")
     kind = declared.partition(";")[0].strip().lower()
     if kind != _MULTIPART and kind not in ACCEPTED:
         types = [_MULTIPART, *(name for name in ACCEPTED if name)]
         detail = f"Content-Type {kind[:80]!r} is not a point cloud. Accepted: {', '.join(types)}."
-        raise Problem(415, "unsupported_media_type", detail, fields={"accepted": types})
+        raise ProblemError(415, "unsupported_media_type", detail, fields={"accepted": types})
     return FilePart(declared) if kind == _MULTIPART else None, kind
 
 
@@ -124,9 +126,11 @@ async def _arriving(request: Request, settings: Settings, hold: Hold) -> AsyncIt
                 message = await request.receive()
         except TimeoutError as error:
             detail = f"No byte of the body arrived for {settings.body_idle_s:g} s."
-            raise Problem(408, "body_timeout", detail, headers={"Connection": "close"}) from error
+            raise ProblemError(
+                408, "body_timeout", detail, headers={"Connection": "close"}
+            ) from error
         if message["type"] == "http.disconnect":
-            raise ClientGone
+            raise ClientDisconnectedError
         data: bytes = message.get("body", b"")
         size += len(data)
         if size > limit:
@@ -138,6 +142,6 @@ async def _arriving(request: Request, settings: Settings, hold: Hold) -> AsyncIt
             return
 
 
-def _too_large(limit: int, value: int) -> Problem:
+def _too_large(limit: int, value: int) -> ProblemError:
     detail = f"The body has {value} bytes or more; the limit is {limit}."
-    return Problem(413, "body_too_large", detail, fields={"limit": limit, "value": value})
+    return ProblemError(413, "body_too_large", detail, fields={"limit": limit, "value": value})

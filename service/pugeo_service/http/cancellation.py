@@ -7,14 +7,14 @@ from typing import Any, TypeVar
 
 from starlette.requests import Request
 
-from pugeo_service.http.body import ClientGone
+from pugeo_service.http.body import ClientDisconnectedError
 
-__all__ = ["DeadlinePassed", "while_connected"]
+__all__ = ["DeadlinePassedError", "while_connected"]
 
 T = TypeVar("T")
 
 
-class DeadlinePassed(Exception):
+class DeadlinePassedError(Exception):
     """The time of a request is over."""
 
 
@@ -33,8 +33,8 @@ async def while_connected(
         hopeless: gets an exception as soon as the work is known to be in vain.
 
     Raises:
-        ClientGone: the connection was closed.
-        DeadlinePassed: ``seconds`` are over.
+        ClientDisconnectedError: the connection was closed.
+        DeadlinePassedError: ``seconds`` are over.
         Exception: what ``work`` raised, or what ``hopeless`` got.
     """
     working = asyncio.ensure_future(work)
@@ -48,7 +48,7 @@ async def while_connected(
             return working.result()
         if hopeless is not None and hopeless.done():
             hopeless.result()
-        raise ClientGone if leaving.done() else DeadlinePassed
+        raise ClientDisconnectedError if leaving.done() else DeadlinePassedError
     finally:
         for task in ends:
             task.cancel()

@@ -15,7 +15,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pugeo_service.http.auth import harden
-from pugeo_service.http.body import ClientGone
+from pugeo_service.http.body import ClientDisconnectedError
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import internal_error
@@ -83,7 +83,7 @@ class _Exchange:
         ):
             try:
                 await self._app(scope, receive, observed)
-            except ClientGone:
+            except ClientDisconnectedError:
                 self._status = 499
             except Exception as error:
                 if self._status and isinstance(error, OSError):

@@ -7,7 +7,7 @@ from python_multipart import MultipartParser
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import parse_options_header
 
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["FilePart"]
 
@@ -27,14 +27,14 @@ class FilePart:
         content_type: the part's own ``Content-Type`` once its headers are read, or ``""``.
 
     Raises:
-        Problem: 400 for a boundary that is missing or too long.
+        ProblemError: 400 for a boundary that is missing or too long.
     """
 
     def __init__(self, content_type: str) -> None:
         _, options = parse_options_header(content_type)
         boundary = options.get(b"boundary")
         if not boundary:
-            raise Problem(400, "malformed_multipart", "The multipart body has no boundary.")
+            raise ProblemError(400, "malformed_multipart", "The multipart body has no boundary.")
         self.content_type = ""
         self._header_name = b""
         self._header_value = b""
@@ -57,13 +57,13 @@ class FilePart:
             )
         except FormParserError as error:
             detail = "The boundary of the multipart body is longer than the 256 bytes allowed."
-            raise Problem(400, "malformed_multipart", detail) from error
+            raise ProblemError(400, "malformed_multipart", detail) from error
 
     async def data(self, body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         """Yield the bytes of the part ``file`` from the bytes of the whole body.
 
         Raises:
-            Problem: 400 for a body that is not multipart, has no such part, or other parts.
+            ProblemError: 400 for a body that is not multipart, has no such part, or other parts.
         """
         try:
             async for chunk in body:
@@ -73,11 +73,13 @@ class FilePart:
                 self._data.clear()
         except FormParserError as error:
             detail = "The body is not the multipart form that its Content-Type promises."
-            raise Problem(400, "malformed_multipart", detail) from error
+            raise ProblemError(400, "malformed_multipart", detail) from error
         if not self._ended:
-            raise Problem(400, "malformed_multipart", "The multipart body ends in the middle.")
+            raise ProblemError(400, "malformed_multipart", "The multipart body ends in the middle.")
         if not self._seen:
-            raise Problem(400, "missing_file", f"The multipart body has no part named {_NAME!r}.")
+            raise ProblemError(
+                400, "missing_file", f"The multipart body has no part named {_NAME!r}."
+            )
 
     def _on_header_field(self, data: bytes, start: int, end: int) -> None:
         self._header_name += data[start:end]
@@ -97,7 +99,7 @@ class FilePart:
                 f"The multipart body has the part {name[:40]!r}; it takes one part named "
                 f"{_NAME!r}, and options belong in the query, such as /upsample?R=8."
             )
-            raise Problem(400, "unexpected_part", detail, fields={"part": name[:80]})
+            raise ProblemError(400, "unexpected_part", detail, fields={"part": name[:80]})
         self._seen = True
         self.content_type = self._headers.get(b"content-type", b"").decode("latin-1")
 

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from pugeo_model.formats import FORMATS
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["DEFAULT", "OFFERS", "Offer", "choose"]
 
@@ -58,13 +58,13 @@ def choose(accept: str | None, wanted: str | None, default: Offer = DEFAULT) -> 
         default: what wildcards mean.
 
     Raises:
-        Problem: 422 for an unknown ``format``, 406 where no offer suits the header.
+        ProblemError: 422 for an unknown ``format``, 406 where no offer suits the header.
     """
     if wanted is not None:
         if wanted not in OFFERS:
             detail = f"format={wanted[:40]!r} is not one of {', '.join(OFFERS)}."
             fields = {"parameter": "format", "value": wanted[:80], "allowed": list(OFFERS)}
-            raise Problem(422, "bad_option", detail, fields=fields)
+            raise ProblemError(422, "bad_option", detail, fields=fields)
         return OFFERS[wanted]
     if accept is None or not accept.strip():
         return default
@@ -79,7 +79,7 @@ def choose(accept: str | None, wanted: str | None, default: Offer = DEFAULT) -> 
     offers = [offer.media_type for offer in OFFERS.values()]
     detail = f"No answer suits Accept: {accept[:120]}. Offered: {', '.join(offers)}."
     fields = {"offers": offers, "formats": list(OFFERS)}
-    raise Problem(406, "not_acceptable", detail, headers={"Vary": "Accept"}, fields=fields)
+    raise ProblemError(406, "not_acceptable", detail, headers={"Vary": "Accept"}, fields=fields)
 
 
 def _ranked(accept: str) -> list[str]:

@@ -15,7 +15,7 @@ from pugeo_service.problems import MEDIA_TYPE, PROBLEM_SCHEMA, problem_responses
 
 __all__ = ["install"]
 
-_PROBLEM = {"$ref": "#/components/schemas/Problem"}
+_PROBLEM = {"$ref": "#/components/schemas/ProblemError"}
 # Either of them where the service has keys, none where it has not.
 _SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "Authorization: Bearer KEY"},

@@ -13,7 +13,7 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from pugeo_service.http.auth import harden
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["BoundedHeads"]
 
@@ -26,7 +26,7 @@ class BoundedHeads(HttpToolsProtocol):
     """HTTP/1.1 whose request heads are bounded in bytes, fields and seconds."""
 
     _clock: asyncio.TimerHandle | None = None
-    _refusal: Problem | None = None
+    _refusal: ProblemError | None = None
     # Since the last head was whole or the last piece of a body came: a head that goes on, or the
     # fields that may follow a chunked body.
     _bytes = 0
@@ -88,7 +88,9 @@ class BoundedHeads(HttpToolsProtocol):
         del msg
         cycle: RequestResponseCycle | None = self.cycle
         if cycle is None or not cycle.response_started or cycle.response_complete:
-            problem = self._refusal or Problem(400, "malformed_request", "This is no HTTP request.")
+            problem = self._refusal or ProblemError(
+                400, "malformed_request", "This is no HTTP request."
+            )
             self.transport.write(_on_the_wire(problem))
         self.transport.close()
 
@@ -104,20 +106,20 @@ class BoundedHeads(HttpToolsProtocol):
     def _too_slow(self) -> None:
         if self._bytes:
             detail = f"The head of the request did not arrive within {LONGEST_S:g} s."
-            self._refusal = Problem(408, "head_timeout", detail)
+            self._refusal = ProblemError(408, "head_timeout", detail)
             self.send_400_response("")
         else:
             # A connection that was opened ahead of its use, as browsers do: no answer to nothing.
             self.transport.close()
 
 
-def _too_large(what: str) -> Problem:
+def _too_large(what: str) -> ProblemError:
     fields: dict[str, Any] = {"limit_bytes": MOST_BYTES, "limit_fields": MOST_FIELDS}
     detail = f"The head of the request has {what}."
-    return Problem(431, "head_too_large", detail, fields=fields)
+    return ProblemError(431, "head_too_large", detail, fields=fields)
 
 
-def _on_the_wire(problem: Problem) -> bytes:
+def _on_the_wire(problem: ProblemError) -> bytes:
     response = problem.response({})
     harden(response.headers)
     response.headers["Connection"] = "close"

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterator
 
 from pugeo_service.jobs.models import Job
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Watch"]
 
@@ -47,14 +47,14 @@ class Watch:
         """Refuse another watcher where there are too many, or nobody may watch any more.
 
         Raises:
-            Problem: 503.
+            ProblemError: 503.
         """
         if self._closed:
             detail = "The service is shutting down; it tells of the job again when it is back."
-            raise Problem(503, "draining", detail, retry_after=5)
+            raise ProblemError(503, "draining", detail, retry_after=5)
         if sum(map(len, self._watchers.values())) >= _MOST_WATCHERS:
             detail = "Too many clients watch jobs; ask for the job itself from time to time."
-            raise Problem(503, "too_many_watchers", detail, retry_after=5)
+            raise ProblemError(503, "too_many_watchers", detail, retry_after=5)
 
     @contextlib.contextmanager
     def following(self, job_id: str) -> Iterator["asyncio.Queue[Job | None]"]:
@@ -83,7 +83,7 @@ class Watch:
                 continue
             try:
                 found = {job.id: job for job in await self._fetch(ids)}
-            except Problem:
+            except ProblemError:
                 # The log has it; watchers get their heartbeats, and the truth when it is back.
                 await asyncio.sleep(_POLL_S)
                 continue

@@ -10,10 +10,10 @@ import structlog
 from pugeo_model.errors import CloudError
 from pugeo_service.jobs import client_queries, runner_queries
 from pugeo_service.jobs.database import Database, Work
-from pugeo_service.jobs.files import InputLost, JobFiles
+from pugeo_service.jobs.files import InputLostError, JobFiles
 from pugeo_service.jobs.models import ACTIVE, Job, Success
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem, bug
+from pugeo_service.problems import ProblemError, bug
 
 __all__ = ["Settlement", "crashed"]
 
@@ -24,13 +24,15 @@ _AGAIN_S = 1.0
 _OUR_DISK = frozenset({"storage_full", "storage_failed"})
 
 
-def crashed(job: Job) -> Problem:
+def crashed(job: Job) -> ProblemError:
     """Return why a job that was running whenever the service died is not begun again."""
     detail = (
         f"The service ended {job.attempts} times while it worked on this job, which may be the "
         "cause. A smaller cloud or a lower R may work; the same will not be tried again."
     )
-    return Problem(422, "job_crashed", detail, retryable=False, fields={"attempts": job.attempts})
+    return ProblemError(
+        422, "job_crashed", detail, retryable=False, fields={"attempts": job.attempts}
+    )
 
 
 class Settlement:
@@ -70,7 +72,7 @@ class Settlement:
         """Note what became of ``work``, which is over.
 
         Raises:
-            Problem: 503, the database could not be told; the job is found again later.
+            ProblemError: 503, the database could not be told; the job is found again later.
         """
         try:
             success = work.result()
@@ -81,7 +83,7 @@ class Settlement:
         else:
             await self._succeeded(job, success)
 
-    async def fail(self, job: Job, runner: str, problem: Problem) -> None:
+    async def fail(self, job: Job, runner: str, problem: ProblemError) -> None:
         """End a job of ``runner`` with a problem."""
         now = time.time()
         members = problem.members(f"/jobs/{job.id}", job.request_id)
@@ -117,7 +119,7 @@ class Settlement:
             _log.info("job stopped")
             await self._clean(job)
 
-    async def _failed(self, job: Job, problem: Problem) -> None:
+    async def _failed(self, job: Job, problem: ProblemError) -> None:
         now = time.time()
         if problem.code == "engine_lost":
             again = (job.attempts - 1, now + _ENGINE_BACK_S)
@@ -149,20 +151,20 @@ class Settlement:
         while True:
             try:
                 return await self._database.write(work, *args)
-            except Problem:
+            except ProblemError:
                 if self.hurry:
                     raise
                 await asyncio.sleep(_AGAIN_S)
 
 
-def _problem_of(error: Exception) -> Problem:
-    if isinstance(error, Problem):
+def _problem_of(error: Exception) -> ProblemError:
+    if isinstance(error, ProblemError):
         return error
     if isinstance(error, CloudError):
-        return Problem.from_cloud_error(error)
-    if isinstance(error, InputLost):
+        return ProblemError.from_cloud_error(error)
+    if isinstance(error, InputLostError):
         _log.error("the input of a job is lost", reason=str(error))
         detail = f"The service lost the input of this job: {error}. Send it again."
-        return Problem(500, "input_lost", detail, retryable=True)
+        return ProblemError(500, "input_lost", detail, retryable=True)
     _log.error("unexpected error", exc_info=error)
     return bug()

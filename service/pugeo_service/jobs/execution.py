@@ -9,7 +9,7 @@ from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, Success
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 from pugeo_service.runs import count_run, engine_problems, make_order
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
@@ -64,8 +64,8 @@ class Attempt:
 
         Raises:
             CloudError: the input cannot be used.
-            InputLost: it is not there any more.
-            Problem: 422 for what the workers cannot do, 503 where they or the disk fail, 504
+            InputLostError: it is not there any more.
+            ProblemError: 422 for what the workers cannot do, 503 where they or the disk fail, 504
                 where the time of a job is over.
         """
         with await self._admitted() as hold:
@@ -80,7 +80,7 @@ class Attempt:
             try:
                 hold = self._admission.hold()
                 hold.enter(patches)
-            except Problem:
+            except ProblemError:
                 await asyncio.sleep(_ROOM_S)
             else:
                 return hold
@@ -117,7 +117,7 @@ class Attempt:
         except TimeoutError as error:
             detail = f"The job took longer than {settings.jobs_deadline_s:g} s, its limit."
             fields = {"limit": settings.jobs_deadline_s}
-            raise Problem(504, "deadline_exceeded", detail, fields=fields) from error
+            raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
     async def _kept(self, outcome: Outcome) -> Success:
         with storage_problems(), self._files.new_result(self._job.id) as file:

@@ -14,7 +14,7 @@ from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.process_lock import Presence
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Keeper"]
 
@@ -63,7 +63,7 @@ class Keeper:
         """Clear up after processes that died, before the first request is let in.
 
         Raises:
-            Problem: 503, the database cannot be used.
+            ProblemError: 503, the database cannot be used.
             OSError: the folder cannot.
         """
         await self._take_over()
@@ -87,7 +87,7 @@ class Keeper:
                     await self._database.write(runner_queries.prune, time.time() - _REMEMBER_S)
                     await self._sweep(time.time() - _ORPHAN_S)
                 self.usage = await self._database.read(client_queries.usage)
-            except Problem:
+            except ProblemError:
                 continue  # the database's own log line says why
             except OSError as error:
                 _log.error("the folder of jobs fails", reason=str(error))

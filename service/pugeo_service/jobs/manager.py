@@ -25,7 +25,7 @@ from pugeo_service.jobs.process_lock import Presence
 from pugeo_service.jobs.runner import Runner
 from pugeo_service.jobs.submission import Submission
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 
 __all__ = ["Jobs"]
@@ -152,7 +152,7 @@ class Jobs:
         """Return a job.
 
         Raises:
-            Problem: 404, or 503 where the database cannot be used.
+            ProblemError: 404, or 503 where the database cannot be used.
         """
         self._check_ready()
         job = await self._database.read(client_queries.get, job_id, owner)
@@ -173,7 +173,7 @@ class Jobs:
         """Cancel a job that is not finished, or delete the result of one that is.
 
         Raises:
-            Problem: 404, or 503 where the database cannot be used.
+            ProblemError: 404, or 503 where the database cannot be used.
         """
         self._check_ready()
         now = time.time()
@@ -204,7 +204,7 @@ class Jobs:
         except OSError as error:
             _log.error("the folder of jobs cannot be used", reason=str(error))
             return False
-        except Problem:
+        except ProblemError:
             return False  # the database's own log line says why
         self._tasks = [
             asyncio.create_task(task)
@@ -225,6 +225,6 @@ class Jobs:
             raise unavailable("their folder or database cannot be used")
 
 
-def _unknown(job_id: str) -> Problem:
+def _unknown(job_id: str) -> ProblemError:
     detail = f"There is no job {job_id[:64]!r}; it may have been forgotten a week after its end."
-    return Problem(404, "unknown_job", detail)
+    return ProblemError(404, "unknown_job", detail)

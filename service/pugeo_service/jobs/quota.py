@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pugeo_service.admission.fair_share import check_share
 from pugeo_service.jobs.client_queries import Usage
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Room"]
 
@@ -35,7 +35,7 @@ class Room:
             mine: what those of its owner do.
 
         Raises:
-            Problem: 503 where all together take up too much, 429 where the owner does.
+            ProblemError: 503 where all together take up too much, 429 where the owner does.
         """
         size = max(1, size)
         if taken.active >= self.jobs or taken.bytes + size > self.bytes:
@@ -56,7 +56,7 @@ class Room:
                 wait=lambda _: _RETRY_S,
             )
 
-    def _full(self, taken: Usage) -> Problem:
+    def _full(self, taken: Usage) -> ProblemError:
         detail = "There is no room for another job; try again after the time in Retry-After."
         fields = {
             "active_jobs": taken.active,
@@ -64,4 +64,4 @@ class Room:
             "bytes": taken.bytes,
             "capacity_bytes": self.bytes,
         }
-        return Problem(503, "jobs_full", detail, retry_after=_RETRY_S, fields=fields)
+        return ProblemError(503, "jobs_full", detail, retry_after=_RETRY_S, fields=fields)

@@ -14,7 +14,7 @@ from pugeo_service.jobs.completion import Settlement, crashed
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.execution import Attempt
 from pugeo_service.jobs.models import Job
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Runner"]
 
@@ -86,7 +86,7 @@ class Runner:
         while not self._draining:
             try:
                 await self._begin()
-            except Problem:
+            except ProblemError:
                 # The database's log line says why; it may be back at the next look.
                 self._wake.clear()
             except Exception:  # noqa: BLE001 - a bug must not end all jobs for good
@@ -101,7 +101,7 @@ class Runner:
         """Put back what is marked as run here and is not, say since the answer to a claim was lost.
 
         Raises:
-            Problem: 503, the database cannot be used.
+            ProblemError: 503, the database cannot be used.
         """
         before = time.time() - _STRAY_S
         if await self._database.write(
@@ -146,7 +146,7 @@ class Runner:
                     work.cancel()
                     await asyncio.gather(work, return_exceptions=True)
                 await self._settle(job, work)
-            except Problem:
+            except ProblemError:
                 # It stays this process's, and is taken up again once that has ended.
                 _log.error("the end of a job could not be noted")
             except Exception:  # noqa: BLE001 - `reclaim` takes it up again
@@ -173,7 +173,7 @@ class Runner:
                 now = attempt.progress
                 try:
                     mine = await self._note(job, now if now != noted else None)
-                except Problem:
+                except ProblemError:
                     continue
                 if not mine:
                     return

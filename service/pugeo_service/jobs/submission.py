@@ -22,7 +22,7 @@ from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, new_id
 from pugeo_service.jobs.quota import Room
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 
@@ -36,12 +36,12 @@ def key_of(request: Request) -> str | None:
     """Return the ``Idempotency-Key`` of a request, if there is one.
 
     Raises:
-        Problem: 400, it is none.
+        ProblemError: 400, it is none.
     """
     key = request.headers.get("idempotency-key")
     if key is not None and not _KEY.fullmatch(key):
         detail = "Idempotency-Key must be 1 to 255 printable ASCII characters."
-        raise Problem(400, "bad_idempotency_key", detail)
+        raise ProblemError(400, "bad_idempotency_key", detail)
     return key
 
 
@@ -80,7 +80,7 @@ class Submission:
             The job, and whether it is new: a request that was sent before gets the job of then.
 
         Raises:
-            Problem: as `receive_body`; 422 where the key names another request; 429 where the
+            ProblemError: as `receive_body`; 422 where the key names another request; 429 where the
                 owner has its share; 503 where there is no room for anybody, the disk is full,
                 or the database fails.
         """
@@ -128,7 +128,7 @@ class Submission:
                 "This Idempotency-Key was used for another request; a key names one body with "
                 "its options. Take a new key for each job."
             )
-            raise Problem(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
+            raise ProblemError(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
         return earlier or job
 
     async def _withdraw_unless_there(self, job: Job) -> None:
@@ -139,7 +139,7 @@ class Submission:
         """
         try:
             there = await self._database.read(client_queries.many, [job.id])
-        except Problem:
+        except ProblemError:
             _log.warning("an input may be left behind until the next sweep", job=job.id)
             return
         if not there:

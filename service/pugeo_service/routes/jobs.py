@@ -18,7 +18,7 @@ from pugeo_service.jobs.models import State
 from pugeo_service.jobs.result import check_there, result_answer
 from pugeo_service.jobs.submission import key_of
 from pugeo_service.keys import owner_of
-from pugeo_service.problems import Problem, problem_responses
+from pugeo_service.problems import ProblemError, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
 from pugeo_service.runs import offer_of
 
@@ -76,7 +76,7 @@ async def submit(
         offer = offer_of(request.headers, query.format)
         owner, key = owner_of(request), key_of(request)
         job, _ = await service.jobs.submit(request, query, offer.name, owner, key)
-    except (Problem, CloudError) as error:
+    except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
     response.status_code = 200 if job.finished else 202

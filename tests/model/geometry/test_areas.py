@@ -2,17 +2,17 @@
 import numpy as np
 import pytest
 
-from pugeo_model.geometry.areas import shares
+from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 
 
 def test_shares_follow_density_far_and_wide():
-    """A cloud four times as dense on one side: shares there are a quarter, and smooth."""
+    """A cloud four times as dense on one side: surface_areas there are a quarter, and smooth."""
     rng = np.random.default_rng(0)
     dense, sparse = rng.random((4000, 3)), rng.random((1000, 3)) + [1, 0, 0]
     points = np.concatenate([dense, sparse]) * [1, 1, 0]
     distances, neighbours = nearest(points)
-    share = shares(spacing(distances), neighbours)
+    share = surface_areas(spacing(distances), neighbours)
     assert share[points[:, 0] > 1.5].mean() / share[points[:, 0] < 0.5].mean() == pytest.approx(
         4, rel=0.1
     )
@@ -27,11 +27,11 @@ def test_small_differences_are_accidents():
     left = points[:, 0] < 30
     inside = np.abs(points[:, :2] - 29.5).max(axis=1) < 15
     nearly = spacing(distances) * np.where(left, 1.0, 1.02).astype(np.float32)
-    assert np.ptp(shares(nearly, neighbours)[inside]) < 1e-12
+    assert np.ptp(surface_areas(nearly, neighbours)[inside]) < 1e-12
     differing = spacing(distances) * np.where(left, 1.0, 1.5).astype(np.float32)
     middle = np.abs(points[:, 1] - 29.5) < 5
     for typical in (None, 1.0, 7.0):
-        share = shares(differing, neighbours, typical)
+        share = surface_areas(differing, neighbours, typical)
         low, high = (share[middle & (points[:, 0] == x)] for x in (10, 50))
         assert high / low == pytest.approx(1.5**2, rel=0.05)
 
@@ -45,6 +45,6 @@ def test_what_is_typical_may_be_told():
     usual = float(np.median(here))
     middle = np.abs(points[:, 1] - 29.5) < 5
     for typical, ratio in ((usual, 1.0), (3.0 * usual, 1.02**2)):
-        share = shares(here, neighbours, typical)
+        share = surface_areas(here, neighbours, typical)
         low, high = (share[middle & (points[:, 0] == x)].mean() for x in (10, 50))
         assert high / low == pytest.approx(ratio, abs=0.004)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.knn import nearest_in_leaves
+from pugeo_model.geometry.knn import nearest_by_leaves
 from pugeo_model.geometry.neighbours import nearest
 
 RNG = np.random.default_rng(0)
@@ -33,7 +33,7 @@ def test_equals_come_in_their_order() -> None:
     """On a lattice, where many neighbours are equally far, lower rows come first."""
     axes = np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij")
     lattice = np.stack(axes, axis=-1).reshape(-1, 3)
-    distances, rows = nearest_in_leaves(lattice, 32)
+    distances, rows = nearest_by_leaves(lattice, 32)
     same = distances[:, 1:] == distances[:, :-1]
     assert (rows[:, 1:] > rows[:, :-1])[same].all()
 
@@ -41,7 +41,7 @@ def test_equals_come_in_their_order() -> None:
 def test_a_crowd_around_a_leaf_is_left_to_the_caller() -> None:
     """Points with thousands of others around them are told apart, not searched at length."""
     dense = RNG.normal(0, 1e-4, (20_000, 3))
-    _, rows = nearest_in_leaves(np.concatenate([dense, RNG.random((40, 3))]), 32)
+    _, rows = nearest_by_leaves(np.concatenate([dense, RNG.random((40, 3))]), 32)
     left = rows[:, 0] < 0
     assert left[20_000:].any()
     assert (rows[left] == -1).all()

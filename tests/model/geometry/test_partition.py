@@ -2,14 +2,14 @@
 import numpy as np
 import pytest
 
-from pugeo_model.geometry.partition import chunks
+from pugeo_model.geometry.partition import partition
 
 
 @pytest.mark.parametrize("count", [1, 8, 100, 101, 1000, 4097])
 def test_chunks_partition_evenly(count):
     """Every point is in exactly one chunk, none is too large, sizes differ by little."""
     points = np.random.default_rng(0).random((count, 3))
-    parts = chunks(points, 100)
+    parts = partition(points, 100)
     assert sorted(np.concatenate(parts)) == list(range(count))
     sizes = [len(part) for part in parts]
     assert max(sizes) <= 100
@@ -19,4 +19,4 @@ def test_chunks_partition_evenly(count):
 def test_chunks_are_compact():
     """On a long strip each chunk is a short piece of it."""
     points = np.random.default_rng(0).random((1000, 3)) * [100.0, 1.0, 1.0]
-    assert all(np.ptp(points[part, 0]) < 12.5 for part in chunks(points, 100))
+    assert all(np.ptp(points[part, 0]) < 12.5 for part in partition(points, 100))

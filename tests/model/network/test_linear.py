@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pugeo_model.network import linear
-from pugeo_model.network.linear import Linear, Rectified, serve
+from pugeo_model.network.linear import Linear, Rectified, freeze
 
 
 @pytest.fixture
@@ -17,10 +17,12 @@ def net():
 
 def test_a_served_layer_says_what_it_says_in_training(net, monkeypatch):
     """One pass of oneDNN and torch's three passes in bfloat16 agree, for rows in any shape."""
+    if not linear._there():
+        pytest.skip("oneDNN has no bfloat16 product for this processor")
     monkeypatch.setattr(linear, "bfloat16_pays", lambda: True)
     rows = torch.randn(12, 50, 5)
     plain = copy.deepcopy(net)
-    serve(net)
+    freeze(net)
     with torch.inference_mode():
         served = net(rows)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
@@ -32,7 +34,7 @@ def test_a_served_layer_says_what_it_says_in_training(net, monkeypatch):
 def test_a_layer_that_serves_can_be_trained_on(net, monkeypatch):
     """With gradients the weights count as they are, in full width."""
     monkeypatch.setattr(linear, "bfloat16_pays", lambda: True)
-    serve(net)
+    freeze(net)
     result = net(torch.randn(50, 5))
     result.sum().backward()
     assert result.dtype == torch.float32
@@ -44,7 +46,7 @@ def test_without_bfloat16_or_the_operator_torch_serves(net, monkeypatch, missing
     """Everything then goes as it always went."""
     monkeypatch.setattr(linear, "bfloat16_pays", lambda: missing != "processor")
     monkeypatch.setattr(linear, "_product", None if missing == "operator" else torch.nn.Identity())
-    serve(net)
+    freeze(net)
     with torch.inference_mode():
         result = net(torch.randn(50, 5))
     assert result.dtype == torch.float32

@@ -6,7 +6,7 @@ import torch
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import cut
-from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
@@ -31,7 +31,7 @@ def test_shapes_for_any_ratio(net, sphere, count):
     patch = patch_of(sphere)
     quadric = torch.from_numpy(patch.frames.quadric[:200])
     with torch.inference_mode():
-        charts, uv = net(gather([patch]), quadric, count)
+        charts, uv = net(stack_patches([patch]), quadric, count)
         points, normals, log_error = evaluate(net.surface, charts, uv)
     assert uv.shape == (200, count, 2)
     assert points.shape == normals.shape == (200, count, 3)
@@ -43,7 +43,7 @@ def test_t_is_a_rotation_and_gives_the_coarse_normal(net, sphere):
     """T is orthonormal; its third column, T (0, 0, 1), is the cross product of the tangents."""
     patch = patch_of(sphere)
     with torch.inference_mode():
-        charts, _ = net(gather([patch]), torch.from_numpy(patch.frames.quadric[:200]), 4)
+        charts, _ = net(stack_patches([patch]), torch.from_numpy(patch.frames.quadric[:200]), 4)
     identity = charts.T.mT @ charts.T
     torch.testing.assert_close(identity, torch.eye(3).expand_as(identity), atol=1e-5, rtol=0)
     first, second, third = charts.T.unbind(-1)
@@ -55,7 +55,7 @@ def test_untrained_network_is_the_jet_baseline(net, sphere):
     patch = patch_of(sphere)
     frames = patch.frames
     with torch.inference_mode():
-        charts, uv = net(gather([patch]), torch.from_numpy(frames.quadric[:200]), 8)
+        charts, uv = net(stack_patches([patch]), torch.from_numpy(frames.quadric[:200]), 8)
         local, normals, _ = evaluate(net.surface, charts, uv)
     world = patch.points[:200, None] + (
         (local.numpy() @ frames.axes[:200]) * frames.spacing[:200, None, None]
@@ -71,8 +71,8 @@ def test_patches_together_or_alone_are_the_same_graph(net, sphere):
     left = patch_of(sphere, np.arange(100, dtype=np.int32))
     right = patch_of(sphere, np.arange(500, 620, dtype=np.int32))
     with torch.inference_mode():
-        both = net.backbone(gather([left, right]))[:220]
-        one, other = net.backbone(gather([left])), net.backbone(gather([right]))
+        both = net.backbone(stack_patches([left, right]))[:220]
+        one, other = net.backbone(stack_patches([left])), net.backbone(stack_patches([right]))
     assert len(one) == len(other) == 128  # filled up
     alone = torch.cat([one[:100], other[:120]])
     torch.testing.assert_close(both, alone, atol=1e-4, rtol=1e-4)
@@ -84,7 +84,7 @@ def test_blend_leaves_points_of_a_plane_alone(net, plane):
     patch = patch_of(points, np.arange(len(points), dtype=np.int32))
     frames = patch.frames
     with torch.inference_mode():
-        charts, _ = net(gather([patch]), torch.from_numpy(frames.quadric), 4)
+        charts, _ = net(stack_patches([patch]), torch.from_numpy(frames.quadric), 4)
         rows = torch.tensor([[700, 701, 702], [800, 801, 760]])
         picked = Charts(*(field[rows.flatten()] for field in vars(charts).values()))
         spots = torch.from_numpy(points[rows.numpy()].mean(axis=1, keepdims=True))

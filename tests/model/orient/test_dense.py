@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.areas import shares
+from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.orient.across_tiles import signs_of_parts
-from pugeo_model.orient.dense import take_sides_by_answer
+from pugeo_model.orient.across_tiles import signs_across_tiles
+from pugeo_model.orient.dense import orient_dense
 from pugeo_model.orient.methods import orient
 
 SIDE = 26
@@ -47,14 +47,14 @@ def test_a_wall_thinner_than_the_input_is_sparse(members):
     leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
     distances, near = nearest(points)
     near = np.ascontiguousarray(near[:, :12])
-    share = shares(spacing(distances), near)
+    area = surface_areas(spacing(distances), near)
     rows, core = np.arange(len(points), dtype=np.int32), np.ones(len(points), np.bool_)
     owner = np.asarray(cKDTree(points).query(dense)[1], dtype=np.int32)
     ways = mixed(dense_truth, rng)
-    sides, signs, parts = take_sides_by_answer(
-        rows, core, points, mixed(leaning, rng), near, share, (dense, ways, owner)
+    sides, signs, parts = orient_dense(
+        rows, core, points, mixed(leaning, rng), near, area, (dense, ways, owner)
     )
-    signs = signs * signs_of_parts([sides])[0][parts]
+    signs = signs * signs_across_tiles([sides])[0][parts]
     right = (ways * signs[:, None] * dense_truth).sum(axis=1) > 0
     face = dense[:, 2] > 0
     # Nothing joins the faces at their rims here: each is right within itself, or wrong.
@@ -78,13 +78,13 @@ def test_a_margin_agrees_with_the_core():
     distances, near = nearest(ball)
     near = np.ascontiguousarray(near[:, :12])
     ways = mixed(dense, rng)
-    sides, signs, parts = take_sides_by_answer(
+    sides, signs, parts = orient_dense(
         np.arange(3000, dtype=np.int32),
         core,
         ball,
         mixed(ball, rng),
         near,
-        shares(spacing(distances), near),
+        surface_areas(spacing(distances), near),
         (dense, ways, owner),
     )
     assert (sides.parts == 0).all()
@@ -92,5 +92,5 @@ def test_a_margin_agrees_with_the_core():
     inside = (sides.normals * ball).sum(axis=1) < 0
     assert inside.all() or not inside.any()
     assert (((ways * signs[:, None]) * dense).sum(axis=1) < 0).all() == inside.all()
-    outward = signs_of_parts([sides])[0]
+    outward = signs_across_tiles([sides])[0]
     assert outward[0] == (-1.0 if inside.all() else 1.0)

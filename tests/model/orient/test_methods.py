@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model import BadOption
-from pugeo_model.orient.methods import METHODS, orient, propagate
+from pugeo_model import BadOptionError
+from pugeo_model.orient.methods import METHODS, orient, transfer_signs
 
 Array = NDArray[np.floating]
 
@@ -169,7 +169,7 @@ def test_bad_options() -> None:
         ("auto", (0.0, np.inf, 0.0), "viewpoint"),
         ("input", None, "orient"),
     ):
-        with pytest.raises(BadOption) as caught:
+        with pytest.raises(BadOptionError) as caught:
             orient(points, points, method, viewpoint, None, rows)
         assert caught.value.fields["name"] == name
 
@@ -188,7 +188,7 @@ def test_propagate() -> None:
     """Dense normals take the sign of their nearest sparse one, and nothing else of it."""
     points, dense = ball(300), ball(5000, 1)
     nearest = np.asarray(cKDTree(points).query(dense)[1])
-    found = propagate(shuffled(dense), nearest, points.astype(np.float32))
+    found = transfer_signs(shuffled(dense), nearest, points.astype(np.float32))
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, dense, atol=1e-6)
 

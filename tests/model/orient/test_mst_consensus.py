@@ -4,16 +4,16 @@
 import numpy as np
 import pytest
 
-from pugeo_model.orient.mst import Edges, join
-from pugeo_model.orient.mst_consensus import join_by_votes
-from pugeo_model.orient.signed_union_find import Forest
+from pugeo_model.orient.mst import Edges, spanning_tree_signs
+from pugeo_model.orient.mst_consensus import join_by_consensus
+from pugeo_model.orient.signed_union_find import SignedUnionFind
 
 
 def voted(count: int, kinds: list[Edges]):
     """Signs and parts of nodes, joined by one kind of edges after the other."""
-    forest = Forest(count)
+    forest = SignedUnionFind(count)
     for kind in kinds:
-        join_by_votes(forest, kind)
+        join_by_consensus(forest, kind)
     signs, parts = forest.read()
     assert forest.parts == parts.max() + 1
     return signs, parts
@@ -40,7 +40,7 @@ def bars(wrong: float, right: float = 0.03) -> Edges:
 def test_many_outvote_one():
     """A tree follows the lightest edge between two regions, also where all others say otherwise."""
     both = bars(0.02)
-    plain, _ = join(20, both.left, both.right, both.weights, both.opposite)
+    plain, _ = spanning_tree_signs(20, both.left, both.right, both.weights, both.opposite)
     assert (plain[:10] == 1).all()
     assert (plain[10:] == -1).all()
     signs, parts = voted(20, [both])

@@ -4,14 +4,14 @@
 import numpy as np
 import pytest
 
-from pugeo_model.orient.signed_union_find import Forest
+from pugeo_model.orient.signed_union_find import SignedUnionFind
 
 
 def test_edges_between_nodes_of_one_kind():
     """Only the edges asked for join; parts are numbered by their lowest rows."""
     ring, kind = np.arange(6), np.array([True, True, False, False, True, True])
     after = (ring + 1) % 6
-    forest = Forest(6)
+    forest = SignedUnionFind(6)
     forest.join(ring, after, np.zeros(6, dtype=bool), np.flatnonzero(kind[ring] == kind[after]))
     assert forest.read()[1].tolist() == [0, 0, 1, 1, 0, 0]
     assert forest.parts == 2
@@ -23,7 +23,7 @@ def test_the_first_edge_decides():
     left, right = np.array([0, 1, 0, 2]), np.array([1, 2, 2, 9])
     opposite = np.array([True, True, True, False])
     for order, signs in (([0, 1, 2, 3], [1, -1, 1]), ([2, 3, 1, 0], [1, 1, -1])):
-        forest = Forest(3)
+        forest = SignedUnionFind(3)
         forest.join(left, right, opposite, np.array(order))
         assert forest.read()[0].tolist() == signs
         assert forest.parts == 1
@@ -39,7 +39,7 @@ def test_signs_and_parts_are_those_of_the_graph(seed):
     left, right = left[inside], right[inside]
     opposite = sign[left] != sign[right]
     weights = rng.random(len(left)).astype(np.float32)
-    forest = Forest(300)
+    forest = SignedUnionFind(300)
     forest.join(left[:50], right[:50], opposite[:50])
     between = forest.join_sure(left, right, opposite, weights, (0.05, 0.15))
     _, parts = forest.read()

@@ -4,55 +4,55 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pugeo_model.metrics.clouds import evenness
-from pugeo_model.resample.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, packing_radius
 
 
 def setup(count=5000, keep=1000):
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.random((count, 2)), np.zeros((count, 1))], axis=1)
-    reach = np.full(count, reach_of_share(np.array(1.0 / keep)))
-    distance, rows = cKDTree(points).query(points, 28, distance_upper_bound=reach[0])
+    radius = np.full(count, packing_radius(np.array(1.0 / keep)))
+    distance, rows = cKDTree(points).query(points, 28, distance_upper_bound=radius[0])
     others = np.where(np.isfinite(distance), rows, -1)[:, 1:]
-    return points, others.astype(np.int32), reach
+    return points, others.astype(np.int32), radius
 
 
 @pytest.mark.parametrize("keep", [0, 1, 999, 5000])
 def test_exactly_as_many_as_asked(keep):
     """The number of survivors is exact, from none to all."""
-    points, rows, reach = setup()
-    kept = eliminate(points, rows, reach, keep)
+    points, rows, radius = setup()
+    kept = eliminate(points, rows, radius, keep)
     assert len(kept) == keep == len(set(kept))
 
 
 def test_survivors_are_even():
     """A random cloud becomes a Poisson-disk sample (random: 0.52, Poisson disk: about 0.08)."""
-    points, rows, reach = setup()
+    points, rows, radius = setup()
     assert evenness(points) > 0.5
-    assert evenness(points[eliminate(points, rows, reach, 1000)]) < 0.1
+    assert evenness(points[eliminate(points, rows, radius, 1000)]) < 0.1
 
 
 def test_burdened_go_first():
     """Candidates that are not trusted survive less often than their equals."""
-    points, rows, reach = setup()
-    burden = np.where(np.arange(5000) % 2, 0.5, 0.0)
-    kept = eliminate(points, rows, reach, 1000, burden)
+    points, rows, radius = setup()
+    penalty = np.where(np.arange(5000) % 2, 0.5, 0.0)
+    kept = eliminate(points, rows, radius, 1000, penalty)
     assert (kept % 2 == 1).mean() < 0.2
 
 
 def test_a_lonely_outlier_is_not_spared():
     """A candidate without neighbours goes all the same where it is not trusted."""
-    points, rows, reach = setup()
+    points, rows, radius = setup()
     points = np.append(points, [[0.5, 0.5, 3.0]], axis=0)
     rows = np.append(rows, np.full((1, rows.shape[1]), -1, dtype=np.int32), axis=0)
-    reach = np.append(reach, reach[0])
-    burden = np.append(np.zeros(5000), 5.0)
-    assert 5000 in eliminate(points, rows, reach, 1000)
-    assert 5000 not in eliminate(points, rows, reach, 1000, burden)
+    radius = np.append(radius, radius[0])
+    penalty = np.append(np.zeros(5000), 5.0)
+    assert 5000 in eliminate(points, rows, radius, 1000)
+    assert 5000 not in eliminate(points, rows, radius, 1000, penalty)
 
 
 def test_the_last_to_go_are_chosen_by_level():
     """Asked once, when few are left to go; what it weighs more is thinned more."""
-    points, rows, reach = setup()
+    points, rows, radius = setup()
     left = points[:, 0] < 0.5
     asked = []
 
@@ -60,7 +60,7 @@ def test_the_last_to_go_are_chosen_by_level():
         asked.append(alive.sum())
         return np.where(left, 10.0, 1.0)
 
-    even, tilted = (eliminate(points, rows, reach, 1000, level=f) for f in (None, level))
+    even, tilted = (eliminate(points, rows, radius, 1000, level=f) for f in (None, level))
     assert asked == [1300]
     assert len(tilted) == 1000
     assert 0.48 < left[even].mean() < 0.52
@@ -69,6 +69,6 @@ def test_the_last_to_go_are_chosen_by_level():
 
 def test_impossible_count_is_refused():
     """More survivors than candidates is an error, not a short answer."""
-    points, rows, reach = setup()
+    points, rows, radius = setup()
     with pytest.raises(ValueError, match="keep must lie in"):
-        eliminate(points, rows, reach, 5001)
+        eliminate(points, rows, radius, 5001)

@@ -4,19 +4,19 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pugeo_model.geometry.neighbours import knn
-from pugeo_model.resample.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, packing_radius
 from pugeo_model.resample.repulsion import repel
 
 REACH = 0.5
 
 
-def settled(samples, normals, lists, rounds=1, reach=None):
-    reach = np.full(len(samples), REACH) if reach is None else reach
+def settled(samples, normals, lists, rounds=1, radius=None):
+    radius = np.full(len(samples), REACH) if radius is None else radius
     return repel(
         np.array(samples, dtype=np.float64),
         np.array(normals, dtype=np.float32),
         np.array(lists, dtype=np.int32),
-        reach,
+        radius,
         rounds,
     )
 
@@ -40,7 +40,7 @@ def test_samples_across_a_crease_part_too():
 
 
 def test_what_is_far_and_what_is_held():
-    """Beyond 1.3 reaches nobody pushes; whose reach is zero pushes and stays."""
+    """Beyond 1.3 radii nobody pushes; whose radius is zero pushes and stays."""
     row = [[0, 0, 0], [0.3, 0, 0], [2, 0, 0]]
     after = settled(
         row, [[0, 0, 1]] * 3, [[1, 2], [0, 2], [1, -1]], 3, np.array([0.0, REACH, REACH])
@@ -50,7 +50,7 @@ def test_what_is_far_and_what_is_held():
 
 
 def test_no_round_moves_far():
-    """A quarter of the reach at most, however close samples are."""
+    """A quarter of the radius at most, however close samples are."""
     samples = np.random.default_rng(0).normal(size=(6, 3), scale=1e-3)
     samples[:, 2] = 0.0
     lists = [[other for other in range(6) if other != row] for row in range(6)]
@@ -63,17 +63,17 @@ def test_neighbours_do_not_hold_a_pair_together(seed):
     """Of few candidates some survivors lie on each other; the push of a pair is the stronger."""
     rng = np.random.default_rng(seed)
     candidates = np.append(rng.random((4500, 2)), np.zeros((4500, 1)), axis=1)
-    reach = np.full(4500, reach_of_share(np.array(1 / 3000)))
-    kept = eliminate(candidates, _within(candidates, reach[0]), reach, 3000)
-    samples, reach = candidates[kept], reach[:3000]
-    after = settled(samples, [[0, 0, 1]] * 3000, _within(samples, 1.4 * reach[0]), 6, reach)
+    radius = np.full(4500, packing_radius(np.array(1 / 3000)))
+    kept = eliminate(candidates, _within(candidates, radius[0]), radius, 3000)
+    samples, radius = candidates[kept], radius[:3000]
+    after = settled(samples, [[0, 0, 1]] * 3000, _within(samples, 1.4 * radius[0]), 6, radius)
     inside = np.abs(after[:, :2] - 0.5).max(axis=1) < 0.45
     distance = knn(cKDTree(after), after, 2)[0][inside, 1]
     # 0.215 to 0.219, and 0.12 to 0.13, with a push that only falls with the distance.
-    assert distance.min() > 0.26 * reach[0]
+    assert distance.min() > 0.26 * radius[0]
     assert distance.std() / distance.mean() < 0.12
 
 
-def _within(points, reach):
-    distance, rows = knn(cKDTree(points), points, 16, reach)
+def _within(points, radius):
+    distance, rows = knn(cKDTree(points), points, 16, radius)
     return np.where(np.isfinite(distance), rows, -1)[:, 1:].astype(np.int32)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pugeo_model.resample.seams import Rim, part
+from pugeo_model.resample.seams import BorderPoints, separate
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 
@@ -19,11 +19,11 @@ def halves():
 
 
 def rim(points, stays=()):
-    reach = np.ones(len(points))
-    reach[list(stays)] = 0.0
+    radius = np.ones(len(points))
+    radius[list(stays)] = 0.0
     normals = np.broadcast_to(NORMAL, points.shape).astype(np.float32)
     outermost = np.ones(len(points), dtype=np.bool_)
-    return Rim(np.arange(len(points), dtype=np.int32), points, normals, reach, outermost)
+    return BorderPoints(np.arange(len(points), dtype=np.int32), points, normals, radius, outermost)
 
 
 def closest(points):
@@ -32,7 +32,7 @@ def closest(points):
 
 def test_what_is_even_stays_as_it_is(halves):
     """To the last bit, as most borders are."""
-    for before, after in zip(halves, part([rim(half) for half in halves]), strict=True):
+    for before, after in zip(halves, separate([rim(half) for half in halves]), strict=True):
         assert before.tobytes() == after.tobytes()
 
 
@@ -42,7 +42,7 @@ def test_two_on_one_spot_are_parted(halves):
     spot = right[np.argmin(np.linalg.norm(right - [10.0, 9.0, 0.0], axis=1))] + [0.02, 0.01, 0.0]
     left = np.append(left, [spot], axis=0)
     assert closest(np.concatenate([left, right])) < 0.03
-    moved = part([rim(left), rim(right)])
+    moved = separate([rim(left), rim(right)])
     assert [len(each) for each in moved] == [len(left), len(right)]
     together = np.concatenate(moved)
     assert closest(together) > 0.5
@@ -56,7 +56,7 @@ def test_points_of_the_input_stay(halves):
     left, right = halves
     at = int(np.argmin(np.linalg.norm(right - [10.0, 9.0, 0.0], axis=1)))
     left = np.append(left, [right[at] + [0.02, 0.01, 0.0]], axis=0)
-    moved = part([rim(left), rim(right, stays=[at])])
+    moved = separate([rim(left), rim(right, stays=[at])])
     np.testing.assert_array_equal(moved[1][at], right[at])
     assert np.linalg.norm(moved[0][-1] - right[at]) > 0.4
 
@@ -65,10 +65,13 @@ def test_points_of_one_tile_are_its_own_business(halves):
     """However close they are: the merge has had its say on them."""
     left, right = halves
     left = np.append(left, left[:1] + [0.1, 0.0, 0.0], axis=0)
-    moved = part([rim(left), rim(right)])
+    moved = separate([rim(left), rim(right)])
     np.testing.assert_array_equal(moved[0], left)
 
 
 def test_tiles_without_points_along_their_borders():
     """Parts of a cloud that do not touch have nothing to agree on."""
-    assert [len(each) for each in part([rim(np.empty((0, 3))), rim(np.zeros((1, 3)))])] == [0, 1]
+    assert [len(each) for each in separate([rim(np.empty((0, 3))), rim(np.zeros((1, 3)))])] == [
+        0,
+        1,
+    ]

@@ -2,10 +2,10 @@
 import numpy as np
 import pytest
 
-from pugeo_model.geometry.areas import shares
+from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.metrics.clouds import evenness
-from pugeo_model.resample.selection import even_out, place
+from pugeo_model.resample.selection import select, spread_evenly
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def plane():
     spread = rng.uniform(-0.7 / 45, 0.7 / 45, size=(2025, 6, 3)) * [1, 1, 0]
     candidates = (points[:, None] + spread).reshape(-1, 3)
     owner = np.repeat(np.arange(2025, dtype=np.int32), 6)
-    return points, neighbours, shares(spacing(distances), neighbours), candidates, owner
+    return points, neighbours, surface_areas(spacing(distances), neighbours), candidates, owner
 
 
 def up(count):
@@ -26,29 +26,29 @@ def up(count):
 
 
 def test_doubt_costs_a_region_no_points(plane):
-    """Where many candidates expect much error others stay in their place: the input's density."""
-    points, neighbours, share, candidates, owner = plane
+    """Where many candidates expect much error others stay in their select: the input's density."""
+    points, neighbours, area, candidates, owner = plane
     doubted = (points[owner, 0] < 0.5) & (np.arange(len(owner)) % 5 == 0)
     error = np.where(doubted, 0.2, 0.02).astype(np.float32)
-    stay, spots, kept = place(
-        candidates, up(len(candidates)), error, owner, 7000, share, neighbours, seed=0
+    stay, queries, kept = select(
+        candidates, up(len(candidates)), error, owner, 7000, area, neighbours, seed=0
     )
     assert len(stay) == 0
-    assert len(spots) == len(kept) == 7000
+    assert len(queries) == len(kept) == 7000
     wanted = (points[:, 0] < 0.5).mean()
     assert (points[kept, 0] < 0.5).mean() == pytest.approx(wanted, abs=0.012)
 
 
 def test_landed_points_are_evened_out(plane):
-    """What landing moved settles again; points next to a margin and in its place stay."""
-    points, neighbours, share, candidates, owner = plane
+    """What landing moved settles again; points next to a margin and in its select stay."""
+    points, neighbours, area, candidates, owner = plane
     error = np.full(len(owner), 0.02, dtype=np.float32)
     core = points[:, 0] < 0.7
-    _, spots, kept = place(
-        candidates, up(len(owner)), error, owner, 5600, share, neighbours, seed=0, core=core
+    _, queries, kept = select(
+        candidates, up(len(owner)), error, owner, 5600, area, neighbours, seed=0, core=core
     )
-    moved = spots + np.random.default_rng(0).normal(size=spots.shape, scale=0.001) * [1, 1, 0]
-    after = even_out(moved, up(5600), kept, share, neighbours, core)
+    moved = queries + np.random.default_rng(0).normal(size=queries.shape, scale=0.001) * [1, 1, 0]
+    after = spread_evenly(moved, up(5600), kept, area, neighbours, core)
     assert evenness(after) < 0.9 * evenness(moved)
     stayed = (after == moved).all(axis=1)
     assert stayed[moved[:, 0] > 0.69].mean() > 0.9

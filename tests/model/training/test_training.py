@@ -9,7 +9,7 @@ from safetensors.torch import load_file
 
 pytest.importorskip("igl", reason="training needs the train extra")
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
 from pugeo_model.training import corpus
 from pugeo_model.training.augment import Mix, draw
@@ -165,9 +165,9 @@ def test_a_recipe_of_ones_own(tmp_path):
     assert recipe.architecture.options == (("width", 8),)
     for text, said in (("stepz = 1", "'stepz' is unknown"), ("mix = 3", "table"), ("=", "TOML")):
         path.write_text(text)
-        with pytest.raises(BadOption, match=said):
+        with pytest.raises(BadOptionError, match=said):
             read_recipe(str(path))
-    with pytest.raises(BadOption, match="standard"):
+    with pytest.raises(BadOptionError, match="standard"):
         read_recipe("nobodys")
 
 
@@ -189,5 +189,5 @@ def test_a_run_starts_from_weights(shapes, meshes, tmp_path):
     for name, value in load_file(weights).items():
         torch.testing.assert_close(begun.net.state_dict()[name], value)
     assert begun.recipe.to_json()["start"] == weights
-    with pytest.raises(BadOption, match="architecture"):
+    with pytest.raises(BadOptionError, match="architecture"):
         Trainer(shapes, Recipe(start=weights), tmp_path / "third")

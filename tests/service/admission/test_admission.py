@@ -7,7 +7,7 @@ import pytest
 
 from pugeo_service.admission.admission import Admission, Hold
 from pugeo_service.admission.throughput import DrainRate, Pace
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 
 class Clock:
@@ -36,7 +36,7 @@ def test_patches_are_bounded() -> None:
     admission = Admission(max_patches=10, max_bytes=100, max_requests=9)
     with admission.hold() as first, admission.hold() as second:
         first.enter(8)
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             second.enter(3)
         assert (caught.value.status, caught.value.code) == (503, "queue_full")
         assert caught.value.retryable
@@ -51,7 +51,7 @@ def test_one_larger_than_the_queue_is_served_alone() -> None:
     admission = Admission(max_patches=10, max_bytes=100, max_requests=9)
     with admission.hold() as large:
         large.enter(500)
-        with pytest.raises(Problem, match="full"):
+        with pytest.raises(ProblemError, match="full"):
             admission.hold()
     assert admission.has_room
 
@@ -61,7 +61,7 @@ def test_requests_are_bounded() -> None:
     admission = Admission(max_patches=10, max_bytes=100, max_requests=1)
     with admission.hold() as first, admission.hold() as second:
         first.enter(1)
-        with pytest.raises(Problem, match="full"):
+        with pytest.raises(ProblemError, match="full"):
             second.enter(1)
 
 
@@ -71,7 +71,7 @@ def test_bytes_are_bounded_while_they_arrive() -> None:
     with admission.hold() as first, admission.hold() as second:
         first.grow(90)
         second.grow(10)
-        with pytest.raises(Problem, match="full"):
+        with pytest.raises(ProblemError, match="full"):
             second.grow(1)
         assert admission.bytes == 100
 
@@ -95,7 +95,7 @@ def test_draining_refuses() -> None:
     with admission.hold() as hold:
         hold.enter(1)
         admission.draining = True
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             admission.hold()
         assert (caught.value.status, caught.value.code) == (503, "draining")
         assert admission.requests == 1
@@ -107,7 +107,7 @@ def test_draining_refuses_a_body_that_was_still_arriving() -> None:
     admission = Admission(max_patches=10, max_bytes=100, max_requests=9)
     with admission.hold() as hold:
         admission.draining = True
-        with pytest.raises(Problem, match="shutting down"):
+        with pytest.raises(ProblemError, match="shutting down"):
             hold.enter(1)
 
 
@@ -156,7 +156,7 @@ def test_retry_after_follows_the_rate() -> None:
             admission.rate.start()
             clock.now += 100 / speed
             admission.rate.add(100)
-            with pytest.raises(Problem) as caught:
+            with pytest.raises(ProblemError) as caught:
                 second.enter(100)
         waits.append(int(caught.value.headers["Retry-After"]))
     assert waits == [10, 20, 120]
@@ -171,9 +171,9 @@ def measured(admission: Admission, per_second: float) -> None:
     admission.rate.add(int(10 * per_second))
 
 
-def refusal(hold: Hold, patches: int) -> Problem:
+def refusal(hold: Hold, patches: int) -> ProblemError:
     """The problem with which a request is refused."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         hold.enter(patches)
     return caught.value
 
@@ -205,7 +205,7 @@ def test_shares_shrink_with_their_number() -> None:
             owner = ("ann", "bob")[turn % 2]
             try:
                 stack.enter_context(admission.hold(owner)).enter(1)
-            except Problem as problem:
+            except ProblemError as problem:
                 refused.add((owner, problem.status))
         assert refused == {("ann", 429), ("bob", 429)}
         held = {owner: total.patches for owner, total in admission.owners.items()}
@@ -219,14 +219,14 @@ def test_shares_hold_for_requests_and_bytes() -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(2):
             stack.enter_context(admission.hold("ann")).enter(1)
-        with pytest.raises(Problem, match="requests") as caught:
+        with pytest.raises(ProblemError, match="requests") as caught:
             admission.hold("ann")
         assert (caught.value.status, caught.value.fields["unit"]) == (429, "requests")
         first, second = admission.hold("bob"), admission.hold("bob")
         with first, second:
             first.grow(40)
             second.grow(10)
-            with pytest.raises(Problem, match="bytes") as caught:
+            with pytest.raises(ProblemError, match="bytes") as caught:
                 second.grow(1)
             assert (caught.value.status, caught.value.fields["unit"]) == (429, "bytes")
 
@@ -248,7 +248,7 @@ def test_without_keys_there_are_no_shares() -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(10):
             stack.enter_context(admission.hold()).enter(1)
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             admission.hold()
         assert caught.value.status == 503
 
@@ -286,18 +286,18 @@ def test_a_deadline_that_the_queue_cannot_meet() -> None:
         # Small ones wait for small ones that came first and have no more to do.
         first.check_deadline(0.001, 2, sized=False)
         small.check_deadline(0.31, 2, sized=True)
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             small.check_deadline(0.29, 2, sized=True)
         assert caught.value.fields == {"patches_ahead": 1, "seconds_left": 0.3}
         # An estimate of its own size is no ground to refuse on; the longest may end later.
         large.check_deadline(11.0, 2, sized=False)
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             large.check_deadline(9.0, 2, sized=False)
         assert (caught.value.status, caught.value.code) == (503, "deadline_unmeetable")
         assert caught.value.retryable
         assert caught.value.fields == {"patches_ahead": 100, "seconds_left": 9.0}
         assert caught.value.headers["Retry-After"] == "1"
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             large.check_deadline(20.0, 2, sized=True)
         assert (caught.value.status, caught.value.headers["Retry-After"]) == (503, "10")
         large.check_deadline(20.0, 3, sized=True)
@@ -309,7 +309,7 @@ def test_a_deadline_that_the_cloud_itself_misses() -> None:
     with admission.hold() as hold:
         hold.enter(400)
         hold.check_deadline(41.0, 2, sized=True)
-        with pytest.raises(Problem) as caught:
+        with pytest.raises(ProblemError) as caught:
             hold.check_deadline(39.0, 2, sized=True)
         assert (caught.value.status, caught.value.code) == (504, "deadline_too_short")
         assert not caught.value.retryable

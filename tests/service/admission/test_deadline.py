@@ -6,7 +6,7 @@ import asyncio
 import pytest
 
 from pugeo_service.admission.deadline import Deadline
-from pugeo_service.http.cancellation import DeadlinePassed
+from pugeo_service.http.cancellation import DeadlinePassedError
 from pugeo_service.http.prefer import Preferences
 
 
@@ -70,5 +70,5 @@ def test_a_body_that_arrives_too_late() -> None:
         async with deadline.arriving():
             await asyncio.sleep(30)
 
-    with pytest.raises(DeadlinePassed):
+    with pytest.raises(DeadlinePassedError):
         asyncio.run(scenario())

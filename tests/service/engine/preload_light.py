@@ -17,9 +17,9 @@ def add(left: int, right: Any) -> int:
 
 def refuse() -> None:
     """Raise what a bad input raises."""
-    from pugeo_model.errors import MalformedFile
+    from pugeo_model.errors import MalformedFileError
 
-    raise MalformedFile("cut short", code="truncated", expected=7)
+    raise MalformedFileError("cut short", code="truncated", expected=7)
 
 
 def nap(seconds: float, path: str, name: str) -> str:

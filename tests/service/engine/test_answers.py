@@ -26,7 +26,7 @@ def sphere(scalars: dict[str, Any], count: int = 3000) -> Cloud:
 def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[Finished]]:
     """Take a cloud through all steps but the last, in some tiles."""
     model = weights.load("standard")
-    plan = pipeline.survey(cloud, Options(ratio=2, **options), tile_size=1200)
+    plan = pipeline.make_plan(cloud, Options(ratio=2, **options), tile_size=1200)
     found = []
     for tile in plan.tiles:
         job = pipeline.prepare(tile)
@@ -74,7 +74,7 @@ def test_what_is_written_tile_by_tile(
     expected: bool,
 ) -> None:
     """Clouds whose rows can follow each other as the tiles give them."""
-    cut = pipeline.survey
+    cut = pipeline.make_plan
     monkeypatch.setattr(pipeline, "survey", lambda cloud, options: cut(cloud, options, 3000))
     file = io.BytesIO()
     formats.write(sphere(scalars, 9000), file, format="npz")

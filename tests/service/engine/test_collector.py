@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.service.engine.recorder import Handle, Recorder, run
 
-from pugeo_service.engine.errors import DiskFailed, EngineLost
+from pugeo_service.engine.errors import DiskError, EngineLostError
 from pugeo_service.storage.shared_file import SharedFile
 from pugeo_service.storage.spool import Spool
 
@@ -67,7 +67,7 @@ def test_a_part_that_changed(tmp_path: Path, again: bytes) -> None:
             return again if start else b""
 
     pool = Changed(3)
-    with pytest.raises(EngineLost, match="changed"):
+    with pytest.raises(EngineLostError, match="changed"):
         run(pool, tmp_path)
     assert not any(handle.live for handle in pool.handles)
 
@@ -80,7 +80,7 @@ def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(Spool, "_store", store)
     pool = Recorder(3)
-    with pytest.raises(DiskFailed) as caught:
+    with pytest.raises(DiskError) as caught:
         run(pool, tmp_path)
     assert caught.value.error.errno == errno.ENOSPC
     assert not any(handle.live for handle in pool.handles)

@@ -15,10 +15,10 @@ import pytest
 from distributed.batched import BatchedSend
 from distributed.spans import Span
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_service.engine import dask_backend
 from pugeo_service.engine.dask_backend import DaskPool
-from pugeo_service.engine.errors import WorkerLost
+from pugeo_service.engine.errors import WorkerLostError
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
@@ -97,7 +97,7 @@ def test_errors_of_a_stage_arrive(play: Play) -> None:
     async def scenario(pool: DaskPool) -> None:
         bad = submit(pool, "refuse")
         for handle in (bad, submit(pool, "add", 1, bad)):
-            with pytest.raises(MalformedFile, match="cut short") as caught:
+            with pytest.raises(MalformedFileError, match="cut short") as caught:
                 await pool.wait(handle)
             assert (caught.value.code, caught.value.fields) == ("truncated", {"expected": 7})
 
@@ -111,7 +111,7 @@ def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
         kept = submit(pool, "add", 20, 22)
         await pool.wait(kept)
         poison = submit(pool, "die", 0.3, priority=10)
-        with pytest.raises(WorkerLost):
+        with pytest.raises(WorkerLostError):
             await pool.wait(poison)
         assert await pool.fetch(kept) == 42
         naps = [submit(pool, "nap", 0.1, str(tmp_path / "log"), str(n)) for n in range(6)]

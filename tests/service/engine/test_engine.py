@@ -14,14 +14,14 @@ import pytest
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, formats
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_service.engine import (
-    DiskFailed,
+    DiskError,
     Engine,
-    EngineLost,
+    EngineLostError,
     Order,
     Outcome,
-    WorkerLost,
+    WorkerLostError,
     dask_backend,
 )
 from pugeo_service.engine.sample import sample_body, sample_order
@@ -99,7 +99,7 @@ def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"])
         assert list(outcome.seconds) == [
             "queue", "read", "prepare", "predict", "land", "merge", "finish", "write", "collect",
         ]  # fmt: skip
-        with pytest.raises(MalformedFile):
+        with pytest.raises(MalformedFileError):
             await run(engine, sample_body().tobytes()[:-1], tmp_path)
 
     play(settings, scenario)
@@ -152,7 +152,7 @@ def test_a_poisonous_request_harms_nobody_else(
         data = sample_body().tobytes()
         poison = asyncio.create_task(run(engine, b"POISON", tmp_path))
         beside = [asyncio.create_task(run(engine, data, tmp_path)) for _ in range(3)]
-        with pytest.raises(WorkerLost):
+        with pytest.raises(WorkerLostError):
             await poison
         for task in beside:
             (await task)[0].spool.close()
@@ -187,7 +187,7 @@ def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
 
     async def scenario() -> None:
         engine = Engine(Settings(spool_dir=tmp_path))
-        with pytest.raises(EngineLost):
+        with pytest.raises(EngineLostError):
             await run(engine, b"", tmp_path)
         await engine.stop()
 
@@ -204,7 +204,7 @@ def test_a_body_that_cannot_be_read(tmp_path: Path) -> None:
             raise OSError(errno.EIO, "gone")
 
     async def scenario(engine: Engine) -> None:
-        with pytest.raises(DiskFailed) as caught:
+        with pytest.raises(DiskError) as caught:
             await engine.run(Unreadable(), ORDER, on_patches=print, on_done=print)
         assert caught.value.error.errno == errno.EIO
         outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)

@@ -12,7 +12,7 @@ import pytest
 from tests.service.engine.recorder import ORDER, Handle, Recorder, run
 
 from pugeo_service.engine import dispatch as module
-from pugeo_service.engine.errors import EngineLost
+from pugeo_service.engine.errors import EngineLostError
 from pugeo_service.engine.messages import Head, InMemory, Sheet, Watcher
 from pugeo_service.engine.orchestrator import Flow
 from pugeo_service.engine.scheduling import LARGE_PATCHES, Lanes
@@ -222,11 +222,11 @@ def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -
     class Broken(Recorder):
         def submit(self, stage: str, *args: Any, priority: float, **more: Any) -> Handle:
             if stage == "cut_patches" and len(self.of(stage)) == queued:
-                raise EngineLost(f"turn: {priority == Lanes.FIRST}")
+                raise EngineLostError(f"turn: {priority == Lanes.FIRST}")
             return super().submit(stage, *args, priority=priority, **more)
 
     pool, lanes = Broken(40, seconds=lambda _: 0.001), Lanes(lambda: 2)
-    with pytest.raises(EngineLost, match=str(turn)):
+    with pytest.raises(EngineLostError, match=str(turn)):
         run(pool, tmp_path, lanes=lanes)
     assert not any([*lanes.load.values(), *(handle.live for handle in pool.handles)])
 

@@ -9,8 +9,8 @@ from starlette.requests import Request
 from starlette.types import Message
 
 from pugeo_service.admission.admission import Admission
-from pugeo_service.http.body import ClientGone, receive_body
-from pugeo_service.problems import Problem
+from pugeo_service.http.body import ClientDisconnectedError, receive_body
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 
 LIMIT = 1000
@@ -74,7 +74,7 @@ def test_types(tmp_path: Path, content_type: str, expected: str | None) -> None:
 def test_other_types(tmp_path: Path, content_type: str) -> None:
     """415 lists what is accepted, before a byte is read."""
     wire = Wire(b"abc")
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path, content_type=content_type)
     assert (caught.value.status, caught.value.code) == (415, "unsupported_media_type")
     assert "application/json" in caught.value.fields["accepted"]
@@ -83,7 +83,7 @@ def test_other_types(tmp_path: Path, content_type: str) -> None:
 
 def test_compressed_bodies(tmp_path: Path) -> None:
     """A body that could unpack to anything is not unpacked."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         take(Wire(b"abc"), tmp_path, content_encoding="gzip")
     assert (caught.value.status, caught.value.code) == (415, "unsupported_encoding")
     assert caught.value.headers["Accept-Encoding"] == "identity"
@@ -92,7 +92,7 @@ def test_compressed_bodies(tmp_path: Path) -> None:
 def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
     """Nothing is read of a body that says it is too large."""
     wire = Wire(b"abc")
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path, content_length=str(LIMIT + 1))
     assert (caught.value.status, caught.value.code) == (413, "body_too_large")
     assert caught.value.fields == {"limit": LIMIT, "value": LIMIT + 1}
@@ -102,7 +102,7 @@ def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
 def test_an_unannounced_size_is_refused_as_it_arrives(tmp_path: Path) -> None:
     """A body that says nothing of its size is cut off at the limit."""
     wire = Wire(b"x" * 600, b"x" * 600, b"x" * 600)
-    with pytest.raises(Problem, match="limit"):
+    with pytest.raises(ProblemError, match="limit"):
         take(wire, tmp_path)
     assert len(wire.left) == 1
 
@@ -114,7 +114,7 @@ def test_the_limit_itself_fits(tmp_path: Path) -> None:
 
 def test_an_empty_body(tmp_path: Path) -> None:
     """400 says what to send."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         take(Wire(b""), tmp_path)
     assert (caught.value.status, caught.value.code) == (400, "empty_body")
 
@@ -122,7 +122,7 @@ def test_an_empty_body(tmp_path: Path) -> None:
 def test_an_empty_part(tmp_path: Path) -> None:
     """So does an empty file of a form."""
     body = b'--B\r\nContent-Disposition: form-data; name="file"\r\n\r\n\r\n--B--\r\n'
-    with pytest.raises(Problem, match="empty"):
+    with pytest.raises(ProblemError, match="empty"):
         take(Wire(body), tmp_path, content_type="multipart/form-data; boundary=B")
 
 
@@ -139,7 +139,7 @@ def test_a_part_of_unknown_type(tmp_path: Path) -> None:
 
 def test_a_client_that_leaves(tmp_path: Path) -> None:
     """A body that will never be whole is nobody's error."""
-    with pytest.raises(ClientGone):
+    with pytest.raises(ClientDisconnectedError):
         take(Wire(b"abc", None), tmp_path)
 
 
@@ -147,7 +147,7 @@ def test_a_client_that_stalls(tmp_path: Path) -> None:
     """408 frees what a silent connection would hold for ever."""
     wire = Wire(b"abc", b"")
     wire.left.pop()
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path)
     assert (caught.value.status, caught.value.retryable) == (408, True)
 
@@ -155,6 +155,6 @@ def test_a_client_that_stalls(tmp_path: Path) -> None:
 def test_what_was_held_is_given_back(tmp_path: Path) -> None:
     """A refused body leaves nothing in the account of bytes."""
     admission = Admission(9, 10_000, 9)
-    with pytest.raises(Problem, match="limit"):
+    with pytest.raises(ProblemError, match="limit"):
         take(Wire(b"x" * 600, b"x" * 600), tmp_path, admission)
     assert admission.bytes == 0

@@ -7,8 +7,8 @@ import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
-from pugeo_service.http.body import ClientGone
-from pugeo_service.http.cancellation import DeadlinePassed, while_connected
+from pugeo_service.http.body import ClientDisconnectedError
+from pugeo_service.http.cancellation import DeadlinePassedError, while_connected
 
 
 def make_request(leaves_after: float) -> Request:
@@ -54,7 +54,7 @@ def test_the_error() -> None:
 def test_the_client_leaves() -> None:
     """Work for nobody is cancelled, and has ended when the caller goes on."""
     work = Work()
-    with pytest.raises(ClientGone):
+    with pytest.raises(ClientDisconnectedError):
         asyncio.run(while_connected(make_request(0.01), work(9), 9))
     assert work.cancelled
 
@@ -62,7 +62,7 @@ def test_the_client_leaves() -> None:
 def test_time_is_up() -> None:
     """So is work that takes too long."""
     work = Work()
-    with pytest.raises(DeadlinePassed):
+    with pytest.raises(DeadlinePassedError):
         asyncio.run(while_connected(make_request(9), work(9), 0.01))
     assert work.cancelled
 

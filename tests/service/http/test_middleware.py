@@ -10,7 +10,7 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.types import Message, Receive, Scope, Send
 
-from pugeo_service.http.body import ClientGone
+from pugeo_service.http.body import ClientDisconnectedError
 from pugeo_service.http.middleware import RequestContext
 from pugeo_service.observability.telemetry import Readings, Telemetry
 
@@ -74,7 +74,7 @@ async def fail(_scope: Scope, _receive: Receive, _send: Send) -> None:
 
 async def leave(_scope: Scope, _receive: Receive, _send: Send) -> None:
     """An application whose client left."""
-    raise ClientGone
+    raise ClientDisconnectedError
 
 
 async def fail_late(_scope: Scope, _receive: Receive, send: Send) -> None:

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from pugeo_service.http.multipart import FilePart
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 TYPE = "multipart/form-data; boundary=XYZ"
 HEAD = b'--XYZ\r\nContent-Disposition: form-data; name="file"; filename="a.ply"\r\n'
@@ -55,7 +55,7 @@ def test_the_bytes_survive(step: int) -> None:
 )
 def test_what_is_wrong(body: bytes, code: str) -> None:
     """A body cut short, of another kind, without the part, or with others, is a 400."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         extract(body, 16)
     assert (caught.value.status, caught.value.code) == (400, code)
 
@@ -63,18 +63,18 @@ def test_what_is_wrong(body: bytes, code: str) -> None:
 def test_options_in_the_form_are_explained() -> None:
     """Whoever sends R as a field is told where it belongs."""
     body = b'--XYZ\r\nContent-Disposition: form-data; name="R"\r\n\r\n8\r\n--XYZ--\r\n'
-    with pytest.raises(Problem, match="query"):
+    with pytest.raises(ProblemError, match="query"):
         extract(body, 1000)
 
 
 def test_no_boundary() -> None:
     """A type without a boundary cannot be read."""
-    with pytest.raises(Problem, match="boundary"):
+    with pytest.raises(ProblemError, match="boundary"):
         extract(b"", 1, "multipart/form-data")
 
 
 def test_a_boundary_too_long() -> None:
     """It is the client's mistake, and no error of the service."""
-    with pytest.raises(Problem, match="longer than the 256 bytes") as caught:
+    with pytest.raises(ProblemError, match="longer than the 256 bytes") as caught:
         FilePart("multipart/form-data; boundary=" + "b" * 257)
     assert (caught.value.status, caught.value.code) == (400, "malformed_multipart")

@@ -5,7 +5,7 @@ import pytest
 
 from pugeo_model.formats import FORMATS
 from pugeo_service.http.negotiation import DEFAULT, OFFERS, choose
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_wildcards_mean_what_the_route_prefers() -> None:
 @pytest.mark.parametrize("accept", ["image/png", "application/json;q=0", "text/html"])
 def test_nothing_suits(accept: str) -> None:
     """406 lists what would do."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         choose(accept, None)
     assert caught.value.status == 406
     assert "application/json" in caught.value.fields["offers"]
@@ -65,7 +65,7 @@ def test_nothing_suits(accept: str) -> None:
 
 def test_an_unknown_format() -> None:
     """422 names the parameter, its value and what is allowed."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(ProblemError) as caught:
         choose(None, "las")
     assert caught.value.status == 422
     assert caught.value.fields == {

@@ -41,7 +41,7 @@ def test_every_error_is_a_problem(document: dict[str, Any]) -> None:
             if int(status) >= 400:
                 assert list(answer["content"]) == [MEDIA_TYPE], (path, status)
                 schema = answer["content"][MEDIA_TYPE]["schema"]
-                assert schema == {"$ref": "#/components/schemas/Problem"}
+                assert schema == {"$ref": "#/components/schemas/ProblemError"}
     assert "HTTPValidationError" not in document["components"]["schemas"]
 
 

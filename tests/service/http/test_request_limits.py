@@ -125,7 +125,9 @@ def test_too_many_bytes(port: int, pieces: list[bytes]) -> None:
 
 def test_too_many_bytes_at_once(port: int) -> None:
     """A head that comes whole in one piece is measured as well."""
-    found = problem(talk(port, LINE + b"X: " + b"v" * (request_limits.MOST_BYTES + 1) + b"\r\n\r\n"))
+    found = problem(
+        talk(port, LINE + b"X: " + b"v" * (request_limits.MOST_BYTES + 1) + b"\r\n\r\n")
+    )
     assert (found["status"], found["code"]) == (431, "head_too_large")
 
 

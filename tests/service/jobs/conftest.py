@@ -17,10 +17,10 @@ from typing import Any
 import httpx2
 import pytest
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_service import app as app_module
 from pugeo_service.app import create_app
-from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
+from pugeo_service.engine import EngineLostError, Order, Outcome, WorkerLostError
 from pugeo_service.engine.engine import Status
 from pugeo_service.jobs.manager import Jobs
 from pugeo_service.settings import Settings
@@ -91,14 +91,14 @@ class PlayedEngine:
 
     def _go_wrong(self, data: bytes) -> None:
         if data.startswith(b"malformed"):
-            raise MalformedFile("it is broken", code="malformed_file", row=7)
+            raise MalformedFileError("it is broken", code="malformed_file", row=7)
         if data.startswith(b"poison"):
-            raise WorkerLost("it ended two workers")
+            raise WorkerLostError("it ended two workers")
         if data.startswith(b"bug"):
             raise ZeroDivisionError
         if self.lose:
             self.lose -= 1
-            raise EngineLost("the scheduler is gone")
+            raise EngineLostError("the scheduler is gone")
 
 
 class House:

@@ -175,7 +175,7 @@ def test_silence_is_filled() -> None:
 
 def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """One more than the bound is refused; those that left make room."""
-    from pugeo_service.problems import Problem
+    from pugeo_service.problems import ProblemError
 
     monkeypatch.setattr("pugeo_service.jobs.change_feed._MOST_WATCHERS", 2)
 
@@ -185,7 +185,7 @@ def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
         watch = Watch(nothing)
         with watch.following("a"):
-            with watch.following("a"), pytest.raises(Problem):
+            with watch.following("a"), pytest.raises(ProblemError):
                 watch.check()
             watch.check()
 

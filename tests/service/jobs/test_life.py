@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 
 
 def test_a_job_from_beginning_to_end(play: Any) -> None:
@@ -163,7 +163,7 @@ def test_an_error_with_strange_numbers(play: Any) -> None:
 
     async def scenario(house: Any) -> None:
         def go_wrong(_: bytes) -> None:
-            raise MalformedFile("broken", value=10**30, limit=np.int64(3), mean=float("nan"))
+            raise MalformedFileError("broken", value=10**30, limit=np.int64(3), mean=float("nan"))
 
         house.engine._go_wrong = go_wrong
         job = await house.submit()

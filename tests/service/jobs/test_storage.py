@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.engine import DiskFailed
+from pugeo_service.engine import DiskError
 from pugeo_service.jobs import client_queries
 from pugeo_service.jobs.database import Database
 
@@ -93,7 +93,7 @@ def test_a_disk_that_fails_the_engine(play: Any, monkeypatch: pytest.MonkeyPatch
         def go_wrong(_: bytes) -> None:
             if full:
                 full.pop()
-                raise DiskFailed(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+                raise DiskError(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
         house.engine._go_wrong = go_wrong
         answer = await house.http.post("/upsample", content=b"x")

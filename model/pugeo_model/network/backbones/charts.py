@@ -14,7 +14,7 @@ from torch.nn import functional
 from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
 from pugeo_model.network.kernels.pooling import pools, sums
 from pugeo_model.network.linear import Linear, Rectified
-from pugeo_model.network.neighbourhoods import Neighbourhoods, Round
+from pugeo_model.network.neighbourhoods import MessageRound, Neighbourhoods
 
 __all__ = ["ChartsBackbone"]
 
@@ -88,7 +88,7 @@ class Messages(nn.Module):
             layers = {"0": Rectified(width, hidden), "2": Linear(hidden, width)}
             self.own = nn.Sequential(OrderedDict(layers))
 
-    def forward(self, features: Tensor, turn: Round) -> Tensor:
+    def forward(self, features: Tensor, turn: MessageRound) -> Tensor:
         """``(n, width)`` features of the outer ring -> ``(len(turn.rows), width)``."""
         own = features.index_select(0, turn.rows)
         each = sums(self.pose(turn.pose), self.sender(features), turn.sources, self.receiver(own))

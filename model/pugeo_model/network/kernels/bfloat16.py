@@ -11,7 +11,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-__all__ = ["bits", "narrowed", "widened"]
+__all__ = ["bits", "to_bfloat16", "to_float32"]
 
 _KINDS = {2: torch.int16, 4: torch.int32, 8: torch.int64}
 
@@ -22,7 +22,7 @@ def bits(tensor: Tensor) -> Any:
 
 
 @njit(inline="always")
-def narrowed(value):  # type: ignore[no-untyped-def]
+def to_bfloat16(value):  # type: ignore[no-untyped-def]
     """Bits of the bfloat16 nearest to a float32, ties to even."""
     whole = np.float32(value).view(np.int32)
     odd = np.int32(np.int32(whole >> np.int32(16)) & np.int32(1))
@@ -30,6 +30,6 @@ def narrowed(value):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def widened(half):  # type: ignore[no-untyped-def]
+def to_float32(half):  # type: ignore[no-untyped-def]
     """The float32 that the bits of a bfloat16 stand for."""
     return np.int32(np.int32(half) << np.int32(16)).view(np.float32)

@@ -14,7 +14,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from pugeo_model.network.kernels.bfloat16 import bits, narrowed, widened
+from pugeo_model.network.kernels.bfloat16 import bits, to_bfloat16, to_float32
 
 __all__ = ["pools", "rectify", "sums"]
 
@@ -87,8 +87,10 @@ def _sum(edges, sent, sources, own):  # type: ignore[no-untyped-def]
         for i in range(rows):
             source = sources[j, i]
             for c in range(width):
-                total = widened(edges[j, i, c]) + widened(sent[source, c]) + widened(own[i, c])
-                edges[j, i, c] = narrowed(max(total, zero))
+                total = (
+                    to_float32(edges[j, i, c]) + to_float32(sent[source, c]) + to_float32(own[i, c])
+                )
+                edges[j, i, c] = to_bfloat16(max(total, zero))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -105,11 +107,11 @@ def _pool(values, stops, share, out, first):  # type: ignore[no-untyped-def]
             for j in range(begun, stop):
                 for c in range(width):
                     top[c] = max(top[c], values[j, i, c])
-                    total[c] += widened(values[j, i, c])
+                    total[c] += to_float32(values[j, i, c])
             out[i, at : at + width] = top
             begun, at = stop, at + width
         for c in range(width):
-            out[i, at + c] = narrowed(share * total[c])
+            out[i, at + c] = to_bfloat16(share * total[c])
 
 
 class _Max(torch.autograd.Function):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing, compiled: what ``blend`` says, for serving.
+"""Projection, compiled: what ``blend`` says, for serving.
 
 ``blend`` is the rule and what training differentiates. Its tensors of millions of 3x3 products
-and 8-wide layers are bound by memory: here the geometry of a block of spots is one loop, the one
+and 8-wide layers are bound by memory: here the geometry of a block of queries is one loop, the one
 wide layer a matrix product that stays in the cache, and nothing else is ever written out.
 """
 
@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from pugeo_model.network.heads import LOG_ERROR, Surface
-from pugeo_model.network.kernels.bfloat16 import bits, narrowed, widened
+from pugeo_model.network.kernels.bfloat16 import bits, to_bfloat16, to_float32
 from pugeo_model.network.precision import bfloat16_pays
 from pugeo_model.network.projection import FALLOFF, TRUST
-from pugeo_model.resample.atlas import Landing
+from pugeo_model.resample.atlas import ProjectionQuery
 
-__all__ = ["Lander", "settle"]
+__all__ = ["Projector", "bounded_step"]
 
-_ROWS = 4096  # spots times charts a pass: few calls, and what one writes still fits the caches
+_ROWS = 4096  # queries times charts a pass: few calls, and what one writes still fits the caches
 _GRAIN = 256  # rows of a product are a multiple of this, see `gather`; divides _ROWS
 _SHEET = 18  # numbers kept of a chart: basis (9), spacing, its inverse, quadric (6), lift
 _TERMS = 8  # inputs of the first layer: u, v, their products, height, slopes
-_OFFSET = 4  # numbers kept of a spot on a chart: x, y, z, squared distance in spacings
+_OFFSET = 4  # numbers kept of a query point on a chart: x, y, z, squared distance in spacings
 
 
-class Lander:
-    """The surface head, ready to land spots.
+class Projector:
+    """The surface head, ready to project queries.
 
     Args:
         surface: the head; its weights are copied.
@@ -46,19 +46,19 @@ class Lander:
 
     @torch.inference_mode()
     def __call__(
-        self, landing: Landing
+        self, query: ProjectionQuery
     ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Blend the charts of every spot.
+        """Blend the charts of every query point.
 
         Returns:
-            Step ``(m, 3)`` float64 from the spot to the surface, cloud units; unit normals
+            Step ``(m, 3)`` float64 from the query point to the surface, cloud units; unit normals
             ``(m, 3)``, sign that of the first chart's; log of the error expected ``(m,)``.
         """
-        count, charts = landing.charts.shape
+        count, charts = query.charts.shape
         step = np.empty((count, 3))
         normals = np.empty((count, 3), dtype=np.float32)
         log_error = np.empty(count, dtype=np.float32)
-        atlas, frames = landing.atlas, landing.atlas.frames
+        atlas, frames = query.atlas, query.atlas.frames
         codes = torch.from_numpy(atlas.code).float().numpy()
         sheets = _sheets(frames.axes, frames.spacing, frames.quadric, atlas.T, atlas.lift)
         block = _ROWS // charts
@@ -69,15 +69,15 @@ class Lander:
         offsets = np.empty((_ROWS, _OFFSET), dtype=np.float32)
         for start in range(0, count, block):
             part = slice(start, min(start + block, count))
-            rows = landing.charts[part].ravel()
-            _place(landing.spots[part], rows, atlas.points, sheets, terms, offsets)
+            rows = query.charts[part].ravel()
+            _place(query.points[part], rows, atlas.points, sheets, terms, offsets)
             _enter(rows, codes, terms, self.terms, first)
             # Rows that are left over from the last pass cost less than a product compiled anew.
             seen = ready[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
             hidden = functional.linear(seen, self.hidden, self.hidden_bias).to(torch.bfloat16)
             _leave(
                 bits(hidden),
-                landing.charts[part],
+                query.charts[part],
                 sheets,
                 terms,
                 offsets,
@@ -90,39 +90,41 @@ class Lander:
         return step, normals, log_error
 
 
-def settle(landing: Landing, step: NDArray[np.float64], furthest: float) -> NDArray[np.float64]:
-    """Where spots come to lie, ``(m, 3)``: a step further, but near the point of their first chart.
+def bounded_step(
+    query: ProjectionQuery, step: NDArray[np.float64], furthest: float
+) -> NDArray[np.float64]:
+    """Where queries come to lie, ``(m, 3)``: a step further, but near the point of their first chart.
 
     Args:
-        landing: the spots.
+        query: the queries.
         step: ``(m, 3)`` float64.
         furthest: distance from that point at most, in its spacings.
     """
-    settled = np.empty_like(step)
+    moved = np.empty_like(step)
     # One layout, whatever the number of charts: each would be compiled for itself.
-    home, atlas = np.ascontiguousarray(landing.charts[:, 0]), landing.atlas
-    _settle(landing.spots, step, home, atlas.points, atlas.frames.spacing, furthest, settled)
-    return settled
+    home, atlas = np.ascontiguousarray(query.charts[:, 0]), query.atlas
+    _bounded_step(query.points, step, home, atlas.points, atlas.frames.spacing, furthest, moved)
+    return moved
 
 
 @njit(cache=True, nogil=True)
-def _settle(spots, step, home, points, spacing, furthest, settled):  # type: ignore[no-untyped-def]
-    for i in range(len(spots)):
+def _bounded_step(queries, step, home, points, spacing, furthest, moved):  # type: ignore[no-untyped-def]
+    for i in range(len(queries)):
         chart = home[i]
-        x = spots[i, 0] + step[i, 0] - points[chart, 0]
-        y = spots[i, 1] + step[i, 1] - points[chart, 1]
-        z = spots[i, 2] + step[i, 2] - points[chart, 2]
+        x = queries[i, 0] + step[i, 0] - points[chart, 0]
+        y = queries[i, 1] + step[i, 1] - points[chart, 1]
+        z = queries[i, 2] + step[i, 2] - points[chart, 2]
         reach = furthest * spacing[chart]
         far = np.sqrt(x * x + y * y + z * z)
         shrink = reach / far if far > reach else 1.0
-        settled[i, 0] = points[chart, 0] + x * shrink
-        settled[i, 1] = points[chart, 1] + y * shrink
-        settled[i, 2] = points[chart, 2] + z * shrink
+        moved[i, 0] = points[chart, 0] + x * shrink
+        moved[i, 1] = points[chart, 1] + y * shrink
+        moved[i, 2] = points[chart, 2] + z * shrink
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _sheets(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
-    """What landing needs of each chart side by side, ``(n, _SHEET)`` float32.
+    """What query needs of each chart side by side, ``(n, _SHEET)`` float32.
 
     Frame and T make one basis: its columns are the chart's tangents and normal in the world.
     """
@@ -145,16 +147,16 @@ def _sheets(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _place(spots, rows, points, sheets, terms, offsets):  # type: ignore[no-untyped-def]
-    """Where each spot lies in each of its charts."""
+def _place(queries, rows, points, sheets, terms, offsets):  # type: ignore[no-untyped-def]
+    """Where each query point lies in each of its charts."""
     half = np.float32(0.5)
-    charts = len(rows) // len(spots)
-    for i in range(len(spots)):
+    charts = len(rows) // len(queries)
+    for i in range(len(queries)):
         for row in range(i * charts, (i + 1) * charts):
             chart = rows[row]
-            x = np.float32(spots[i, 0] - points[chart, 0])
-            y = np.float32(spots[i, 1] - points[chart, 1])
-            z = np.float32(spots[i, 2] - points[chart, 2])
+            x = np.float32(queries[i, 0] - points[chart, 0])
+            y = np.float32(queries[i, 1] - points[chart, 1])
+            z = np.float32(queries[i, 2] - points[chart, 2])
             inverse = sheets[chart, 10]
             u = (sheets[chart, 0] * x + sheets[chart, 1] * y + sheets[chart, 2] * z) * inverse
             v = (sheets[chart, 3] * x + sheets[chart, 4] * y + sheets[chart, 5] * z) * inverse
@@ -191,14 +193,14 @@ def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
                 + weight[6, k] * t6
                 + weight[7, k] * t7
             )
-            first[row, k] = narrowed(max(entered, np.float32(0.0)))
+            first[row, k] = to_bfloat16(max(entered, np.float32(0.0)))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _leave(  # type: ignore[no-untyped-def]
     hidden, charts, sheets, terms, offsets, weight, bias, step, normals, log_error
 ):
-    """The last layer, and the blend of what the charts of each spot say."""
+    """The last layer, and the blend of what the charts of each query point say."""
     count = charts.shape[1]
     said = np.empty((count, 8), dtype=np.float32)
     one = np.float32(1.0)
@@ -209,7 +211,7 @@ def _leave(  # type: ignore[no-untyped-def]
             row = i * count + c
             rise = du = dv = doubt = np.float32(0.0)
             for k in range(hidden.shape[1]):
-                h = max(widened(hidden[row, k]), np.float32(0.0))
+                h = max(to_float32(hidden[row, k]), np.float32(0.0))
                 rise += h * weight[0, k]
                 du += h * weight[1, k]
                 dv += h * weight[2, k]

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled landing against the rule that training differentiates."""
+"""The compiled query against the rule that training differentiates."""
 
 import numpy as np
 import pytest
 import torch
 
 from pugeo_model.geometry.frames import Frames
-from pugeo_model.network.kernels import projection
 from pugeo_model.network.heads import Surface
-from pugeo_model.network.kernels.projection import Lander
+from pugeo_model.network.kernels import projection
+from pugeo_model.network.kernels.projection import Projector
 from pugeo_model.network.precision import wide_products
 from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts
-from pugeo_model.resample.atlas import Atlas, Landing
+from pugeo_model.resample.atlas import Atlas, ProjectionQuery
 
 CHARTS, SPOTS, WIDTH = 40, 2500, 128
 
@@ -23,8 +23,8 @@ def rotations(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def spots() -> Landing:
-    """More spots than one pass takes, on charts of all sizes and directions."""
+def queries() -> ProjectionQuery:
+    """More queries than one pass takes, on charts of all sizes and directions."""
     rng = np.random.default_rng(0)
     points = 100.0 + rng.normal(size=(CHARTS, 3))
     charts = rng.integers(CHARTS, size=(SPOTS, 3)).astype(np.int32)
@@ -46,17 +46,17 @@ def spots() -> Landing:
         code=rng.normal(size=(CHARTS, WIDTH)).astype(np.float16),
         lift=rng.normal(scale=0.1, size=CHARTS).astype(np.float32),
     )
-    return Landing(atlas, places, charts)
+    return ProjectionQuery(atlas, places, charts)
 
 
-def test_the_compiled_landing_follows_the_rule(spots: Landing) -> None:
+def test_the_compiled_landing_follows_the_rule(queries: ProjectionQuery) -> None:
     """Steps, normals and expected errors are those of ``blend``, up to bfloat16."""
     torch.manual_seed(0)
     surface = Surface(16, WIDTH, 64)
     with torch.no_grad():
         surface.out.weight.mul_(30.0)
-    atlas, frames = spots.atlas, spots.atlas.frames
-    rows = torch.from_numpy(spots.charts.astype(np.int64))
+    atlas, frames = queries.atlas, queries.atlas.frames
+    rows = torch.from_numpy(queries.charts.astype(np.int64))
     flat = rows.flatten()
     charts = Charts(
         torch.from_numpy(atlas.T)[flat],
@@ -64,7 +64,7 @@ def test_the_compiled_landing_follows_the_rule(spots: Landing) -> None:
         torch.from_numpy(atlas.lift)[flat],
         torch.from_numpy(frames.quadric)[flat],
     )
-    offsets = (spots.spots[:, None] - atlas.points[spots.charts]).astype(np.float32)
+    offsets = (queries.queries[:, None] - atlas.points[queries.charts]).astype(np.float32)
     spacing = torch.from_numpy(frames.spacing)[rows]
     with torch.inference_mode(), wide_products():
         step, normals, log_error, _ = blend(
@@ -74,8 +74,8 @@ def test_the_compiled_landing_follows_the_rule(spots: Landing) -> None:
             torch.from_numpy(frames.axes)[rows],
             spacing,
         )
-    found = Lander(surface)(spots)
-    # A chart six spacings away extrapolates: relative to how far the spot is moved at all.
+    found = Projector(surface)(queries)
+    # A chart six spacings away extrapolates: relative to how far the query point is moved at all.
     scale = 1.0 + step.norm(dim=1).numpy()
     assert np.quantile(np.abs(found[0] - step.numpy()).max(axis=1) / scale, 0.99) < 0.01
     assert np.quantile(np.abs(found[1] - normals.numpy()).max(axis=1), 0.95) < 0.02
@@ -83,21 +83,21 @@ def test_the_compiled_landing_follows_the_rule(spots: Landing) -> None:
     assert np.allclose(np.linalg.norm(found[1], axis=1), 1.0, atol=1e-5)
 
 
-def test_a_landing_repeats_to_the_bit(spots: Landing) -> None:
-    """The same spots give the same bytes, whatever the buffers held before."""
-    lander = Lander(Surface(16, WIDTH, 64))
-    once, twice = lander(spots), lander(spots)
+def test_a_landing_repeats_to_the_bit(queries: ProjectionQuery) -> None:
+    """The same queries give the same bytes, whatever the buffers held before."""
+    projector = Projector(Surface(16, WIDTH, 64))
+    once, twice = projector(queries), projector(queries)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))
 
 
 def test_a_processor_without_bfloat16_lands_alike(
-    spots: Landing, monkeypatch: pytest.MonkeyPatch
+    queries: ProjectionQuery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the wide layer is multiplied in float32, points come to lie where they would."""
     surface = Surface(16, WIDTH, 64)
-    landed = []
+    projected = []
     for pays in (True, False):
         monkeypatch.setattr(projection, "bfloat16_pays", lambda pays=pays: pays)
-        landed.append(Lander(surface)(spots))
-    for one, other in zip(*landed, strict=True):
+        projected.append(Projector(surface)(queries))
+    for one, other in zip(*projected, strict=True):
         np.testing.assert_allclose(one, other, atol=0.01)
