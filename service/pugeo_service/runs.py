@@ -7,14 +7,14 @@ from typing import Any
 
 import structlog
 
-from pugeo_service.engine import DiskError, EngineLostError, Order, Outcome, WorkerLostError
+from pugeo_service.engine import DiskError, EngineLostError, RunRequest, RunResult, WorkerLostError
 from pugeo_service.http.negotiation import DEFAULT, OFFERS, Offer, choose
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problem
 
-__all__ = ["count_run", "engine_problems", "make_order", "offer_of"]
+__all__ = ["count_run", "engine_problems", "make_run_request", "offer_of"]
 
 _log = structlog.stdlib.get_logger("pugeo.work")
 
@@ -30,7 +30,7 @@ def offer_of(headers: Mapping[str, str], wanted: str | None) -> Offer:
     return choose(headers.get("accept"), wanted, default)
 
 
-def make_order(
+def make_run_request(
     settings: Settings,
     options: dict[str, Any],
     *,
@@ -38,16 +38,15 @@ def make_order(
     answer: str,
     deadline_s: float,
     background: bool = False,
-) -> Order:
-    """Make the order for a body; arguments are those of `Order` that no setting decides."""
-    return Order(
+) -> RunRequest:
+    """Make the order for a body; arguments are those of `RunRequest` that no setting decides."""
+    return RunRequest(
         model=settings.model,
         format=format,
         answer=answer,
         options=options,
         max_points=settings.max_points,
         max_output_points=settings.max_output_points,
-        batch_patches=settings.batch_patches,
         deadline_s=deadline_s,
         background=background,
     )
@@ -81,7 +80,7 @@ def engine_problems() -> Iterator[None]:
         raise ProblemError(422, "out_of_memory", detail, retryable=False) from error
 
 
-def count_run(telemetry: Telemetry, outcome: Outcome) -> None:
+def count_run(telemetry: Telemetry, outcome: RunResult) -> None:
     """Count a run that succeeded: its stages, its batches, its points."""
     for stage, seconds in outcome.seconds.items():
         if stage == "queue":

@@ -1,115 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine needs of whatever runs its tasks."""
+"""The interface of whatever runs the engine's tasks."""
 
-from collections.abc import Iterable
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol, TypeVar
 
-__all__ = ["CORE", "QUICK", "Pool", "Stage"]
-
-# Functions of `stages`, by name: the front must not import what they need.
-Stage = Literal[
-    "prepare",
-    "describe_prepared",
-    "cut_tile",
-    "prepare_tile",
-    "cut_patches",
-    "predict",
-    "predict_part",
-    "denoise",
-    "finish",
-    "finish_tile",
-    "describe_finished",
-    "border",
-    "agree",
-    "describe_agreed",
-    "write_tile",
-    "assemble",
-    "at_once",
-    "describe_written",
-    "chunk",
-]
-
-QUICK: frozenset[Stage] = frozenset(
-    {
-        "describe_prepared",
-        "describe_finished",
-        "describe_agreed",
-        "describe_written",
-        "cut_tile",
-        "cut_patches",
-        "border",
-        "at_once",
-        "chunk",
-    }
-)
-"""Stages that only look something up or copy it: they run beside a worker's other stages, and wait
-for none of them."""
+__all__ = ["CORE", "Backend", "Handle", "is_quick", "quick"]
 
 CORE = "core"
-"""What a worker has one of and all other stages need: they run one at a time."""
+"""Dask resource of which a worker has one: stages that compute need it, so they run one by one."""
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+StageT = TypeVar("StageT", bound=Callable[..., Any])
 
 
-class Pool(Protocol):
-    """Runs stages on workers. Everything happens in the engine's own event loop."""
+class Handle(Protocol[T_co]):
+    """The result of a task, which stays on a worker; a backend decides what it really is."""
+
+
+_QUICK: set[Callable[..., Any]] = set()
+
+
+def quick(stage: StageT) -> StageT:
+    """Mark a stage that only looks something up or copies it.
+
+    Quick stages run beside a worker's other stages and wait for none of them.
+    """
+    _QUICK.add(stage)
+    return stage
+
+
+def is_quick(stage: Callable[..., Any]) -> bool:
+    """Whether a stage was marked by `quick`."""
+    return stage in _QUICK
+
+
+class Backend(Protocol):
+    """Runs stages on workers. All methods are called in the engine's own event loop."""
 
     async def start(self) -> None:
-        """Start the workers, or reach those that run elsewhere, and wait until one is warm."""
+        """Start the workers, or connect to workers elsewhere; return once one is warm."""
 
     async def stop(self) -> None:
-        """End what was started."""
+        """Stop everything that was started."""
 
     @property
     def warm_workers(self) -> int:
-        """Workers that could run a task now."""
+        """Number of workers that could run a task now."""
 
     @property
-    def places(self) -> tuple[str, ...]:
+    def worker_names(self) -> tuple[str, ...]:
         """Their names, for ``submit``."""
 
     @property
     def lost_workers(self) -> int:
-        """Workers that ended without being told to, since the start."""
+        """Workers that ended unexpectedly since the start."""
 
     @property
     def retried_patches(self) -> int:
-        """Patches whose task began once more because a worker was lost, since the start."""
+        """Patches whose task was run again because a worker was lost, since the start."""
 
     def submit(
         self,
-        stage: Stage,
+        stage: Callable[..., T],
         *args: Any,
         priority: float,
         seconds: float,
         long: bool,
         patches: int = 0,
-        place: str | None = None,
-    ) -> Any:
-        """Queue ``stage(*args)`` and return a handle of its result, which stays on a worker.
+        worker: str | None = None,
+    ) -> Handle[T]:
+        """Queue ``stage(*args)`` and return a handle of its result.
 
         Args:
-            stage: name of a function of ``stages``.
-            args: values, handles, or lists of handles.
+            stage: function of a module that workers can import.
+            args: values, handles, or lists of handles; handles arrive as their results.
             priority: larger runs earlier.
             seconds: a worker that takes longer is ended.
-            long: the stage takes seconds and not milliseconds, as the pool could not know.
-            patches: how many patches the task runs through the network.
-            place: the worker to run it as long as there is one of that name; any if ``None``.
+            long: the stage takes seconds and not milliseconds.
+            patches: number of patches that the task runs through the network.
+            worker: name of the worker to run it while it exists; any if ``None``.
         """
 
-    async def wait(self, handle: Any) -> None:
+    async def wait(self, handle: Handle[Any]) -> None:
         """Wait for a result without moving it.
 
         Raises:
-            WorkerLostError: it ended two workers.
-            EngineLostError: the scheduler forgot it.
-            Exception: what the stage raised.
+            WorkerLostError: the task ended two workers.
+            EngineLostError: the scheduler forgot the task.
+            Exception: raised by the stage.
         """
 
-    async def fetch(self, handle: Any) -> Any:
-        """Wait for a result and bring it here; raises what ``wait`` raises."""
+    async def fetch(self, handle: Handle[T]) -> T:
+        """Wait for a result and bring it here; raises as ``wait``."""
 
-    def release(self, handles: Iterable[Any]) -> None:
-        """Let results go that nothing but tasks already submitted needs."""
+    def release(self, handles: Iterable[Handle[Any]]) -> None:
+        """Drop results; tasks already submitted still get them."""
 
-    def cancel(self, handles: Iterable[Any]) -> None:
-        """Let results go, and drop whatever has not begun yet."""
+    def cancel(self, handles: Iterable[Handle[Any]]) -> None:
+        """Drop results, and tasks that have not begun."""

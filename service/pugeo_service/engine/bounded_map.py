@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stage over all parts of a cloud, a few at a time."""
+"""One stage over all parts of a tile, a bounded number of parts at a time."""
 
 import asyncio
 import time
@@ -8,22 +8,22 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-from pugeo_service.engine.scheduling import Lanes, Line
+from pugeo_service.engine.scheduling import FairSemaphore, SchedulingPolicy
 
-__all__ = ["Haste", "Spread"]
+__all__ = ["BoundedMap", "StarvationGuard"]
 
 
 @dataclass(frozen=True)
-class Haste:
-    """How a cloud gets on beside others that go first.
+class StarvationGuard:
+    """How a cloud makes progress while other requests go first.
 
     Attributes:
-        turns: where its parts queue for turns, one at a time.
-        patience: seconds without any part done, after which the next takes a turn.
-        eager: parts that were not queued yet take turns without such patience.
+        turns: semaphore of tasks that run before all others; parts take it one at a time.
+        patience: seconds without a finished part after which the next part takes a turn.
+        eager: parts that are not queued yet take turns without waiting so long.
     """
 
-    turns: Line
+    turns: FairSemaphore
     patience: float
     eager: bool
 
@@ -36,20 +36,19 @@ class _Part:
     waiter: asyncio.Task[None]
 
 
-class Spread:
-    """Runs ``total`` units in parts of ``size``.
+class BoundedMap:
+    """Runs ``total`` units in parts of ``size``, few of which are queued at a time.
 
-    Only a few parts are queued at one time. The rest stays here, so that a new request finds
-    short queues, a cancelled one leaves little behind, and the scheduler's own work stays in
-    proportion.
+    The others stay here, so that a new request finds short queues, a cancelled one leaves little
+    behind, and the scheduler's own work stays in proportion.
 
     Args:
         total: units.
         size: of a part.
         submit: queues the part ``start, stop`` at a priority; returns the handle of its result.
         wait: waits for a handle.
-        drop: lets the result of a handle go.
-        on_done: is told how many units more are done.
+        drop: drops the results of handles.
+        on_done: is called with the number of units of each finished part.
     """
 
     def __init__(
@@ -70,26 +69,26 @@ class Spread:
         self._results: dict[int, Any] = {}
         self._last_done = time.monotonic()
 
-    async def run(self, window: int, priority: float, haste: Haste | None) -> list[Any]:
-        """Run all parts, ``window`` at a time; return the handles in the order of the parts.
+    async def run(self, window: int, priority: float, guard: StarvationGuard | None) -> list[Any]:
+        """Run all parts; return their handles in order.
 
         Args:
-            window: parts queued at ``priority`` at one time.
-            priority: of those without a turn.
-            haste: where others go first; ``None`` where nobody is overtaken.
+            window: number of parts queued at ``priority`` at a time.
+            priority: of parts without a turn.
+            guard: where other requests go first; ``None`` where nobody is overtaken.
         """
-        hurry = asyncio.create_task(self._hurry(haste)) if haste else None
-        if hurry is not None:
-            hurry.add_done_callback(lambda _: self._ended.put_nowait(None))
+        guarding = asyncio.create_task(self._take_turns(guard)) if guard else None
+        if guarding is not None:
+            guarding.add_done_callback(lambda _: self._ended.put_nowait(None))
         try:
             while self._left:
                 while self._fresh and len(self._queued) < window:
                     self._launch(*self._fresh.popleft(), priority)
                 part = await self._ended.get()
                 if part is None:
-                    # It only ends early with an error, and with the part that it held.
-                    assert hurry is not None
-                    hurry.result()
+                    # The guard ends early only with an error, which this raises.
+                    assert guarding is not None
+                    guarding.result()
                     continue
                 if self._queued.get(part.start) is not part:
                     continue
@@ -102,10 +101,10 @@ class Spread:
             return [self._results[start] for start in sorted(self._results)]
         finally:
             waiters = [part.waiter for part in self._queued.values()]
-            waiters += [hurry] if hurry else []
+            waiters += [guarding] if guarding else []
             for waiter in waiters:
                 waiter.cancel()
-            # Two may fail at once; nobody else would ask the second for its error.
+            # Two may fail at once; the error of the second would be reported as never retrieved.
             await asyncio.gather(*waiters, return_exceptions=True)
 
     def _launch(self, start: int, stop: int, priority: float) -> _Part:
@@ -115,33 +114,33 @@ class Spread:
         self._queued[start] = part
         return part
 
-    async def _hurry(self, haste: Haste) -> None:
+    async def _take_turns(self, guard: StarvationGuard) -> None:
         """Give parts turns, one after the other, until all are done."""
         while True:
-            while not self._due(haste):
+            while not self._due(guard):
                 since = time.monotonic() - self._last_done
-                await asyncio.sleep(max(haste.patience - since, 0.0) + 0.01)
-            async with haste.turns:
-                # What was due may have been done while this waited.
-                if self._due(haste):
+                await asyncio.sleep(max(guard.patience - since, 0.0) + 0.01)
+            async with guard.turns:
+                # The part may have finished while this waited for a turn.
+                if self._due(guard):
                     part = self._next()
                     await asyncio.wait({part.waiter})
 
-    def _due(self, haste: Haste) -> bool:
-        if self._fresh and haste.eager:
+    def _due(self, guard: StarvationGuard) -> bool:
+        if self._fresh and guard.eager:
             return True
         waits = bool(self._fresh or self._unfinished())
-        return waits and time.monotonic() - self._last_done >= haste.patience
+        return waits and time.monotonic() - self._last_done >= guard.patience
 
     def _unfinished(self) -> list[_Part]:
         return [part for part in self._queued.values() if not part.waiter.done()]
 
     def _next(self) -> _Part:
-        """Queue the next part before all others, be it one that waits for long already."""
+        """Queue the next part before all others; it may be one that has waited in the queue."""
         if self._fresh:
-            return self._launch(*self._fresh.popleft(), Lanes.FIRST)
+            return self._launch(*self._fresh.popleft(), SchedulingPolicy.FIRST)
         stuck = self._unfinished()[0]
         stuck.waiter.cancel()
         self._drop([stuck.handle])
         del self._queued[stuck.start]
-        return self._launch(stuck.start, stuck.stop, Lanes.FIRST)
+        return self._launch(stuck.start, stuck.stop, SchedulingPolicy.FIRST)

@@ -5,8 +5,8 @@ import asyncio
 import contextlib
 import logging
 import secrets
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import dask
 import distributed
@@ -15,22 +15,24 @@ from distributed import scheduler
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
-from pugeo_service.engine.backend import CORE, QUICK, Stage
+from pugeo_service.engine.backend import CORE, Handle, is_quick
 from pugeo_service.engine.errors import EngineLostError, WorkerLostError
 from pugeo_service.engine.retries import TOPIC, ReportRetries
-from pugeo_service.engine.task import run_stage
+from pugeo_service.engine.worker import run_stage
 from pugeo_service.settings import Settings
 
-__all__ = ["DaskPool"]
+__all__ = ["DaskBackend"]
+
+T = TypeVar("T")
 
 _log = structlog.stdlib.get_logger("pugeo.engine")
 # Its annotations cover half of it and contradict the other half.
 _dask: Any = distributed
 
 _CONFIG = {
-    # A task that ends two workers is taken for the cause.
+    # A task that ends two workers is regarded as the cause.
     "distributed.scheduler.allowed-failures": 1,
-    # A body travels as an argument, which is what lets Dask repeat a lost step by itself.
+    # A body travels as an argument, so that Dask can repeat a lost step by itself.
     "distributed.admin.large-graph-warning-threshold": "10 GB",
     "distributed.worker.preload": ["pugeo_service.engine.worker"],
     "distributed.worker.multiprocessing-method": "spawn",
@@ -39,14 +41,14 @@ _CONFIG = {
     # No side doors: the ports that Dask insists on opening answer nothing.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
-    # Both threads of a worker, either of which may work, keep what they have freed in one place.
+    # The two threads of a worker share one arena of free memory.
     "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": "1",
-    # Nothing waits in the scheduler for a place, or moves away from what it needs, because there
-    # are many of its kind.
+    # Tasks of one kind are neither held back in the scheduler nor moved away from their inputs
+    # because there are many of them.
     "distributed.scheduler.rootish-taskgroup-dependencies": 0,
     # Each connection would keep its last 1,000 messages below a megabyte, bodies and all.
     "distributed.admin.low-level-log-length": 10,
-    # Nothing that this process does not show to anybody needs a statistical profile.
+    # Nobody reads Dask's profiler.
     "distributed.worker.profile.enabled": False,
     # Dask watches its loops 50 times a second, the memory of workers 10 times, itself twice, in
     # each of its servers: a front without requests took 4.2 % of a core, and takes 1.8 % so.
@@ -65,7 +67,7 @@ _RISE_S = 30.0
 
 
 class _NoSpans:
-    """In the place of Dask's record of all work, to which each request adds and nothing is lost."""
+    """Replaces Dask's record of all work, which grows with each request and is never pruned."""
 
     def __init__(self, _scheduler: object) -> None: ...
 
@@ -73,11 +75,11 @@ class _NoSpans:
         return False
 
     def heartbeat(self, *_: object) -> None:
-        """Workers report all the same."""
+        """Ignore the reports of workers."""
 
 
-class DaskPool:
-    """The ``Pool`` that serves."""
+class DaskBackend:
+    """The `Backend` of the service."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -88,7 +90,7 @@ class DaskPool:
         self._workers: frozenset[str] = frozenset()
         self.lost_workers = 0
         self.retried_patches = 0
-        # Tells this pool's tasks from those of others at the same scheduler.
+        # Distinguishes the tasks of this front from those of others at the same scheduler.
         self._name = secrets.token_hex(6)
 
     @property
@@ -97,7 +99,7 @@ class DaskPool:
         return len(self._workers)
 
     @property
-    def places(self) -> tuple[str, ...]:
+    def worker_names(self) -> tuple[str, ...]:
         """Names or addresses of the workers."""
         return tuple(sorted(self._workers))
 
@@ -124,8 +126,8 @@ class DaskPool:
                 local_directory=str(settings.spool_dir),
                 env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
             )
-            # Whoever cancels the start does not cancel this: a cluster can be closed when it is
-            # up, or before it began, but not in between.
+            # Cancelling the start does not cancel this: a cluster can be closed when it is up, or
+            # before it began, but not in between.
             self._rising = asyncio.ensure_future(self._cluster)
             await asyncio.shield(self._rising)
         await self._connect()
@@ -148,20 +150,20 @@ class DaskPool:
 
     def submit(
         self,
-        stage: Stage,
+        stage: Callable[..., T],
         *args: Any,
         priority: float,
         seconds: float,
         long: bool,
         patches: int = 0,
-        place: str | None = None,
-    ) -> Any:
+        worker: str | None = None,
+    ) -> Handle[T]:
         """Queue ``stage(*args)``."""
         # Dask guesses how long a task takes from others whose key begins alike.
-        prefix = f"{stage}_{'long' if long else 'short'}"
+        prefix = f"{stage.__name__}_{'long' if long else 'short'}"
         key = f"{prefix}-{patches}-{self._name}-{secrets.token_hex(12)}"
         try:
-            return self._connected.submit(
+            handle: Handle[T] = self._connected.submit(
                 run_stage,
                 stage,
                 seconds,
@@ -169,13 +171,14 @@ class DaskPool:
                 key=key,
                 pure=False,
                 priority=priority,
-                workers=place,
-                # Nor does it wait for a worker that is gone, or long for one that is behind.
-                allow_other_workers=place is not None,
-                resources=None if stage in QUICK else {CORE: 1},
+                workers=worker,
+                # The named worker may be gone.
+                allow_other_workers=worker is not None,
+                resources=None if is_quick(stage) else {CORE: 1},
             )
         except ClosedClientError as error:
             raise EngineLostError(str(error)) from error
+        return handle
 
     async def wait(self, handle: Any) -> None:
         """Wait for a result without moving it."""
@@ -194,12 +197,12 @@ class DaskPool:
             raise _translated(error) from error
 
     def release(self, handles: Iterable[Any]) -> None:
-        """Let results go that nothing but tasks already submitted needs."""
+        """Drop results; tasks already submitted still get them."""
         for handle in handles:
             handle.release()
 
     def cancel(self, handles: Iterable[Any]) -> None:
-        """Let results go; Dask drops whatever has not begun once nobody wants it."""
+        """Drop results; Dask drops tasks that have not begun once nothing refers to them."""
         self.release(handles)
 
     async def _connect(self) -> None:
@@ -248,7 +251,7 @@ class DaskPool:
                     await self._connect_again()
 
     async def _connect_again(self) -> None:
-        """Look for a scheduler that went away; Dask's own client gives up too early."""
+        """Connect again to a scheduler that went away; Dask's own client gives up too early."""
         client, self._client = self._client, None
         with contextlib.suppress(OSError):
             if client is not None:
@@ -260,7 +263,7 @@ class DaskPool:
         workers = frozenset(
             worker["id"] if isinstance(worker["id"], str) else address
             for address, worker in identity["workers"].items()
-            # Without a core it would never be given work: see `preload`.
+            # Without a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
         )
         self.lost_workers += len(self._workers - workers)
@@ -269,7 +272,7 @@ class DaskPool:
             self._replace_nannies()
 
     def _replace_nannies(self) -> None:
-        """Start anew what watches a worker where it gave up, say because memory was short."""
+        """Start a nanny process again where it gave up, for example because memory was short."""
         nannies = self._cluster.workers
         gone = [name for name, nanny in nannies.items() if nanny.status in _GONE]
         for name in gone:

@@ -1,22 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads of this process in the place of workers, for a debugger. Not for serving."""
+"""Threads of this process instead of workers, for a debugger; not for production."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar, cast
 
-from pugeo_service.engine import stages
-from pugeo_service.engine.backend import Stage
+from pugeo_service.engine.backend import Handle
 from pugeo_service.engine.errors import EngineLostError
 from pugeo_service.engine.worker import warm
 from pugeo_service.settings import Settings
 
-__all__ = ["InlinePool"]
+__all__ = ["InlineBackend"]
+
+T = TypeVar("T")
 
 
-class InlinePool:
-    """The ``Pool`` of ``PUGEO_ENGINE=inline``.
+class InlineBackend:
+    """The `Backend` of ``PUGEO_ENGINE=inline``.
 
     A task waits in its thread for the tasks that it depends on. They were submitted earlier and
     the executor starts tasks in order, so there is always one that can go on.
@@ -37,8 +38,8 @@ class InlinePool:
         return self._threads if self._warm else 0
 
     @property
-    def places(self) -> tuple[str, ...]:
-        """Threads have names, but share all that they hold."""
+    def worker_names(self) -> tuple[str, ...]:
+        """Numbers of the threads, which share all results."""
         return tuple(str(number) for number in range(self.warm_workers))
 
     async def start(self) -> None:
@@ -52,39 +53,45 @@ class InlinePool:
 
     def submit(
         self,
-        stage: Stage,
+        stage: Callable[..., T],
         *args: Any,
         priority: float,
         seconds: float,
         long: bool,
         patches: int = 0,
-        place: str | None = None,
-    ) -> "Future[Any]":
+        worker: str | None = None,
+    ) -> Handle[T]:
         """Queue ``stage(*args)``, first come first served."""
-        del priority, seconds, long, patches, place  # threads cannot be ranked, ended, lost
-        run = getattr(stages, stage)
-        return self._executor.submit(lambda: run(*(_resolved(arg) for arg in args)))
+        del priority, seconds, long, patches, worker  # threads cannot be ranked, ended or lost
+        handle: Any = self._executor.submit(lambda: stage(*(_resolved(arg) for arg in args)))
+        return cast("Handle[T]", handle)
 
-    async def wait(self, handle: "Future[Any]") -> None:
+    async def wait(self, handle: Handle[Any]) -> None:
         """Wait for a result."""
         await self.fetch(handle)
 
-    async def fetch(self, handle: "Future[Any]") -> Any:
+    async def fetch(self, handle: Handle[T]) -> T:
         """Wait for a result and return it."""
+        future = _future(handle)
         try:
-            return await asyncio.shield(asyncio.wrap_future(handle))
+            result: T = await asyncio.shield(asyncio.wrap_future(future))
         except CancelledError as error:
-            if handle.cancelled():
+            if future.cancelled():
                 raise EngineLostError("the task was cancelled") from error
             raise
+        return result
 
-    def release(self, handles: Iterable["Future[Any]"]) -> None:
-        """Do nothing: results live as long as somebody refers to them."""
+    def release(self, handles: Iterable[Handle[Any]]) -> None:
+        """Do nothing: results live as long as something refers to them."""
 
-    def cancel(self, handles: Iterable["Future[Any]"]) -> None:
-        """Drop whatever has not begun yet."""
+    def cancel(self, handles: Iterable[Handle[Any]]) -> None:
+        """Drop tasks that have not begun."""
         for handle in handles:
-            handle.cancel()
+            _future(handle).cancel()
+
+
+def _future(handle: Handle[Any]) -> "Future[Any]":
+    return cast("Future[Any]", handle)
 
 
 def _resolved(arg: Any) -> Any:

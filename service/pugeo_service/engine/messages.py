@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the engine and what comes out of it."""
+"""Messages between the front and the engine, and between the engine and its workers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,16 +10,26 @@ from numpy.typing import NDArray
 
 from pugeo_service.storage.spool import Spool
 
-__all__ = ["Head", "InMemory", "Order", "Outcome", "Readable", "Sheet", "Watcher"]
+__all__ = [
+    "AgreementInfo",
+    "BodyReader",
+    "DenseInfo",
+    "InMemory",
+    "OutputInfo",
+    "PreparedInfo",
+    "ProgressCallbacks",
+    "RunRequest",
+    "RunResult",
+]
 
-# A patch has 2048 points of its own. A point takes 12 bytes at least, as text three times as many.
+# A patch has 2,048 points of its own. A point takes at least 12 bytes, as text three times as many.
 _BYTES_PER_PATCH = 2048 * 12
-_TEXT = 3
-_TEXTS = frozenset({"json", "xyz"})
+_TEXT_FACTOR = 3
+_TEXT_FORMATS = frozenset({"json", "xyz"})
 
 
 @dataclass(frozen=True)
-class Order:
+class RunRequest:
     """A request as the workers see it: plain values, no model, no open file.
 
     Attributes:
@@ -29,10 +39,9 @@ class Order:
         options: keyword arguments of the model's ``Options``.
         max_points: bound on the points of the input.
         max_output_points: bound on the points of the answer.
-        batch_patches: bound on the patches of one task.
         deadline_s: seconds the whole may take.
-        background: whoever waits for an answer goes first.
-        at_once_patches: a cloud of so many patches is done in one task.
+        background: nobody waits on a connection, so requests go first.
+        one_task_patches: a cloud of at most so many patches is upsampled in one task.
     """
 
     model: str
@@ -41,50 +50,26 @@ class Order:
     options: dict[str, Any]
     max_points: int
     max_output_points: int
-    batch_patches: int
     deadline_s: float
     background: bool = False
-    at_once_patches: int = 1
+    one_task_patches: int = 1
 
     @staticmethod
     def estimate(size: int, format: str | None) -> int:
-        """Return a guess (>= 1) at the patches in a body of ``size`` bytes, before it is read."""
-        return max(1, size // (_BYTES_PER_PATCH * (_TEXT if format in _TEXTS else 1)))
+        """Estimate the patches (>= 1) in a body of ``size`` bytes before it is read."""
+        return max(1, size // (_BYTES_PER_PATCH * (_TEXT_FACTOR if format in _TEXT_FORMATS else 1)))
 
 
 @dataclass(frozen=True)
-class Head:
-    """What the front learns once a cloud is prepared.
+class OutputInfo:
+    """Description of bytes of an answer.
 
     Attributes:
-        patches: units of work.
-        tiles: parts that go their way one by one; most clouds are one.
-        seconds: time of each stage so far.
-        by_rows: the answer can be written tile by tile.
-        sheet: of the answer, where the cloud was so small that it is done already.
-        batches: seconds and patches that the network took for what is predicted once more.
-        noisy: it is to be denoised. Said of what was: its points were right, its charts still hold.
-    """
-
-    patches: int
-    tiles: int
-    seconds: dict[str, float]
-    by_rows: bool = False
-    sheet: "Sheet | None" = None
-    batches: Sequence[tuple[float, int]] = ()
-    noisy: bool = False
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """What the front learns once an answer, or a part of one, is written.
-
-    Attributes:
-        size: how many bytes it has.
-        first: those of them that came along, or how many are in the front's file already.
-        report: the model's report of the run.
-        seconds: time of each stage on the workers.
-        batches: seconds and patches that the network took.
+        size: number of bytes.
+        first: the first bytes, or the number of bytes that are in the front's file already.
+        report: of the run.
+        seconds: of each stage that was not reported yet.
+        batches: seconds and patches of each run through the network, likewise.
     """
 
     size: int
@@ -93,23 +78,54 @@ class Sheet:
     seconds: dict[str, float]
     batches: Sequence[tuple[float, int]] = ()
 
-    @property
-    def whole(self) -> bool:
-        """Whether all bytes came along."""
-        came = self.first if isinstance(self.first, int) else len(self.first)
-        return came == self.size
+
+@dataclass(frozen=True)
+class PreparedInfo:
+    """Description of a planned cloud or a prepared tile.
+
+    Attributes:
+        patches: units of work.
+        tiles: number of tiles; most clouds are one.
+        seconds: of each stage so far.
+        by_rows: whether the answer can be written tile by tile.
+        output: of the answer, where the cloud was upsampled already.
+        noisy: whether the tile needs denoising.
+    """
+
+    patches: int
+    tiles: int
+    seconds: dict[str, float]
+    by_rows: bool = False
+    output: OutputInfo | None = None
+    noisy: bool = False
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """An answer, whole, in the hands of the front.
+class DenseInfo:
+    """Description of a dense tile: seconds of stages, seconds and patches of batches."""
+
+    seconds: dict[str, float]
+    batches: Sequence[tuple[float, int]]
+
+
+@dataclass(frozen=True)
+class AgreementInfo:
+    """Description of the agreement of all tiles: report of the run, seconds of stages."""
+
+    report: dict[str, Any]
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A whole answer on the disk or in the memory of the front.
 
     Attributes:
-        spool: the bytes; whoever holds the outcome closes it.
-        report: the model's report of the run.
+        spool: the bytes; the holder of the result closes it.
+        report: of the run.
         seconds: wall time of each stage, in order; ``queue`` is the time waited. Of a cloud in
             tiles it is the sum over tiles, several of which run side by side.
-        batches: seconds and patches of each batch that the network ran.
+        batches: seconds and patches of each run through the network.
     """
 
     spool: Spool
@@ -118,11 +134,11 @@ class Outcome:
     batches: list[tuple[float, int]]
 
 
-class Readable(Protocol):
-    """Bytes that the engine asks for when it begins, and again where it begins anew.
+class BodyReader(Protocol):
+    """Bytes of a body that the engine reads when a run begins, and again where it is repeated.
 
     Attributes:
-        size: how many.
+        size: number of bytes.
     """
 
     size: int
@@ -132,7 +148,7 @@ class Readable(Protocol):
 
 
 class InMemory:
-    """Bytes that are here already.
+    """A body in memory.
 
     Args:
         data: uint8 ``(size,)``.
@@ -152,13 +168,13 @@ def _ignore(*_: object) -> None:
 
 
 @dataclass(frozen=True)
-class Watcher:
-    """Who is told how far a request is; called from the engine's thread.
+class ProgressCallbacks:
+    """Functions that are told the progress of a run; called in the engine's thread.
 
     Attributes:
-        on_patches: the number of patches became known.
-        on_done: that many patches more went through the network.
-        on_stage: the next stage begins.
+        on_patches: called with the number of patches once it is known.
+        on_done: called with a number of further patches that went through the network.
+        on_stage: called with the name of a stage that begins.
     """
 
     on_patches: Callable[[int], object] = field(default=_ignore)

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The graph of tasks of one request, from the bytes of its body to the bytes of its answer."""
+"""The orchestration of one request, from the bytes of its body to the bytes of its answer.
+
+There are three ways to the bytes, each for its measured gain (two workers, see
+docs/performance.md): a small cloud is upsampled in the task that reads it; tiles of a large one are
+written where they are, if the format's rows follow each other; all else is assembled on a worker.
+"""
 
 import asyncio
 import itertools
@@ -10,308 +15,240 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pugeo_service.engine.backend import Pool
+from pugeo_model.pipeline import upsample_tile
+from pugeo_model.stage_times import StageTimes
+from pugeo_service.engine import output_stages, stages
+from pugeo_service.engine.backend import Backend, Handle
 from pugeo_service.engine.collector import Collector
-from pugeo_service.engine.dispatch import Dispatch, Where
-from pugeo_service.engine.errors import disk
-from pugeo_service.engine.messages import Head, Order, Outcome, Readable, Sheet, Watcher
-from pugeo_service.engine.scheduling import LARGE_PATCHES, Lanes
+from pugeo_service.engine.dispatch import Dispatch, WorkerOf
+from pugeo_service.engine.errors import disk_errors
+from pugeo_service.engine.messages import (
+    BodyReader,
+    OutputInfo,
+    PreparedInfo,
+    ProgressCallbacks,
+    RunRequest,
+    RunResult,
+)
+from pugeo_service.engine.scheduling import LARGE_PATCHES, SchedulingPolicy
+from pugeo_service.engine.values import DenseTile, Output, Prepared
+from pugeo_service.engine.worker_stages import PreparedHandle, TileHandle, WorkerStages
 from pugeo_service.storage.spool import Spool
 
-__all__ = ["Flow"]
+__all__ = ["Orchestrator"]
 
-_WRITERS = 3  # tiles written at one time: enough to keep the front busy
+_WRITERS = 3  # tiles written at a time: enough to keep the front busy
 
 
-class Flow:
-    """One request on its way through the pool.
+class Orchestrator:
+    """Runs one request on a backend.
 
     Args:
-        pool: where the tasks run.
-        order: what to do.
-        lanes: who goes first among all requests of the engine.
-        watcher: who is told how far it is.
+        backend: runs the tasks.
+        request: to run.
+        policy: decides on the order among all requests of the engine.
+        progress: told how far the run is.
         spool_dir: folder for the answer.
     """
 
     def __init__(
         self,
-        pool: Pool,
-        order: Order,
-        lanes: Lanes,
-        watcher: Watcher,
+        backend: Backend,
+        request: RunRequest,
+        policy: SchedulingPolicy,
+        progress: ProgressCallbacks,
         spool_dir: Path,
     ) -> None:
-        self._pool = pool
-        self._order = order
-        self._lanes = lanes
-        self._watcher = watcher
+        self._backend = backend
+        self._request = request
+        self._policy = policy
+        self._progress = progress
         self._spool_dir = spool_dir
-        self._tasks = Dispatch(pool, order, lanes)
+        self._tasks = Dispatch(backend, request, policy)
+        self._times = StageTimes()
+        self._batches: list[tuple[float, int]] = []
 
-    async def run(self, body: Readable) -> Outcome:
-        """Do it.
+    async def run(self, body: BodyReader) -> RunResult:
+        """Run the request to its end.
 
         Args:
-            body: its bytes are read once this may begin.
+            body: read once the run may begin.
 
         Raises:
             CloudError: the input cannot be used.
-            WorkerLostError, EngineLostError: see the pool.
+            WorkerLostError, EngineLostError: see `Backend`.
             DiskError: the body cannot be read, or there is no room for the answer.
         """
-        with disk():
+        with disk_errors():
             spool = Spool(self._spool_dir)
         try:
-            async with AsyncExitStack() as inside:
-                return await self._run(body, spool, inside)
+            async with AsyncExitStack() as held:
+                report = await self._run(body, spool, held)
+            return RunResult(spool, report, self._times.seconds, self._batches)
         except BaseException:
             spool.close()
             raise
         finally:
-            self._lanes.leave(self)
+            self._policy.unregister(self)
             self._tasks.cancel()
 
-    async def _run(self, body: Readable, spool: Spool, inside: AsyncExitStack) -> Outcome:
-        order, tally, began = self._order, _Tally(), time.perf_counter()
-
-        size = order.estimate(body.size, order.format)
-        head: Head
-        # Of jobs, few enough run at one time already.
-        if size >= LARGE_PATCHES and not order.background:
-            await inside.enter_async_context(self._lanes.entrance)
-        self._lanes.stand(self, size, background=order.background)
-        self._watcher.on_stage("prepare")
-        with disk():
+    async def _run(self, body: BodyReader, spool: Spool, held: AsyncExitStack) -> dict[str, Any]:
+        """Write the answer into the spool; return the report of the run."""
+        request, arrived = self._request, time.perf_counter()
+        # A large cloud waits for its turn on disk. Few jobs run at a time already.
+        patches = request.estimate(body.size, request.format)
+        if patches >= LARGE_PATCHES and not request.background:
+            await held.enter_async_context(self._policy.large_requests)
+        self._policy.register(self, patches, background=request.background)
+        self._progress.on_stage("prepare")
+        with disk_errors():
             data = await body.read()
         answer = Collector(spool, await spool.share(), self._tasks)
-        if self._tasks.everyone_is_busy and not order.background:
-            order = replace(order, at_once_patches=LARGE_PATCHES - 1)
-        prepared, head = await self._tasks.step(
-            size, "prepare", "describe_prepared", data, order, asking=(answer.file,)
+
+        # One task reads and plans the cloud; of a small cloud it makes the whole answer.
+        if self._tasks.every_worker_is_busy and not request.background:
+            request = replace(request, one_task_patches=LARGE_PATCHES - 1)
+        cloud, info = await self._tasks.step(
+            patches, stages.prepare, (data, request), stages.describe_prepared, (answer.file,)
         )
-        # The pool has its own copy, for as long as it may have to begin anew.
-        del data
-        tally.add(queue=0.0)
-        tally.add(*head.batches, **head.seconds)
-        if head.sheet is not None:
-            tally.add(*head.sheet.batches, **head.sheet.seconds)
-        tally.add(queue=time.perf_counter() - began - sum(tally.seconds.values()))
-        size = head.patches
-        self._lanes.stand(self, size, background=order.background)
-        self._watcher.on_patches(size)
-        if size < LARGE_PATCHES:
-            await inside.aclose()
+        del data  # the backend has a copy for as long as the task may have to be repeated
+        self._record_prepared(info, time.perf_counter() - arrived)
+        self._policy.register(self, info.patches, background=request.background)
+        self._progress.on_patches(info.patches)
+        if info.patches < LARGE_PATCHES:
+            await held.aclose()
 
-        sheet: Sheet
-        if head.sheet is not None:
-            self._watcher.on_done(size)
-            written, sheet = prepared, head.sheet
-            if not sheet.whole:
-                written = self._tasks.submit("at_once", prepared)
-        elif head.tiles == 1:
-            prepared, charted = await self._predicted(prepared, head, tally)
-            self._watcher.on_stage("finish")
-            written, sheet = await self._tasks.step(
-                size,
-                "finish",
-                "describe_written",
-                prepared,
-                charted,
-                order.model,
-                order.answer,
-                asking=(answer.file,),
-            )
-            self._tasks.drop(charted)
-            tally.add(*sheet.batches, **sheet.seconds)
-        else:
-            pieces = await self._tiled(prepared, head.tiles, tally)
-            self._watcher.on_stage("finish")
-            if head.by_rows:
-                return await self._by_rows(prepared, pieces, answer, tally)
-            written, sheet = await self._tasks.step(
-                size,
-                "assemble",
-                "describe_written",
-                prepared,
-                pieces,
-                order.answer,
-                asking=(answer.file,),
-            )
-            self._tasks.drop(pieces)
-            tally.add(**sheet.seconds)
-        self._tasks.drop([prepared])
+        if info.output is not None:
+            self._progress.on_done(info.patches)
+            return await self._collect(answer, cloud, info.output)
+        tiles = await self._upsample_tiles(cloud, info)
+        if info.by_rows and info.tiles > 1:
+            return await self._write_by_rows(cloud, tiles, answer)
+        output, written = await self._tasks.step(
+            info.patches,
+            output_stages.assemble,
+            (cloud, tiles, request.answer),
+            output_stages.describe_output,
+            (answer.file,),
+        )
+        self._tasks.drop(cloud, *tiles)
+        self._times.add(written.seconds)
+        return await self._collect(answer, output, written)
 
-        self._watcher.on_stage("collect")
-        began = time.perf_counter()
-        await answer.collect(written, sheet)
-        await answer.flush()
-        tally.add(collect=time.perf_counter() - began)
-        return Outcome(answer.spool, sheet.report, tally.seconds, tally.batches)
+    def _record_prepared(self, info: PreparedInfo, elapsed: float) -> None:
+        """Record seconds so far; time that no stage accounts for was spent in queues."""
+        spent = StageTimes()
+        spent.add(info.seconds)
+        if info.output is not None:
+            spent.add(info.output.seconds)
+            self._batches += info.output.batches
+        self._times.add({"queue": elapsed - sum(spent.seconds.values()), **spent.seconds})
 
-    async def _tiled(
-        self,
-        prepared: Any,
-        tiles: int,
-        tally: "_Tally",
-    ) -> list[Any]:
-        """Run the tiles of a cloud, as many at one time as there are workers.
+    async def _upsample_tiles(
+        self, cloud: Handle[Prepared], info: PreparedInfo
+    ) -> list[Handle[DenseTile]]:
+        """Upsample all tiles, as many at a time as there are workers; return them in order.
 
-        Each worker has tiles of its own, which saves carrying their patches about. Once one has
-        none left it helps the others.
-
-        Returns:
-            The handles of their pieces, in order.
+        Each worker has tiles of its own, which saves carrying their patches about. One that has
+        no tile left helps the others. The only tile of a cloud is shared by all workers.
         """
-        pieces: list[Any] = [None] * tiles
-        numbers = iter(range(tiles))
-        places = self._pool.places
-        busy = set(places)
+        if info.tiles == 1:
+            only = TileHandle(0, PreparedHandle(cloud, info))
+            return [await upsample_tile(self._stages(cloud, info.patches), only)]
+        done: dict[int, Handle[DenseTile]] = {}
+        numbers = iter(range(info.tiles))
+        workers = self._backend.worker_names
+        busy = set(workers)
 
-        async def lane(place: str | None) -> None:
-            def where() -> str | None:
-                return place if len(busy) == len(places) else None
+        async def upsample_some(worker: str | None) -> None:
+            def worker_of() -> str | None:
+                return worker if len(busy) == len(workers) else None
 
             for number in numbers:
-                tile = self._tasks.submit("cut_tile", prepared, number)
-                head: Head
-                job, head = await self._tasks.step(
-                    LARGE_PATCHES, "prepare_tile", "describe_prepared", tile, place=where()
-                )
-                self._tasks.drop([tile])
-                tally.add(**head.seconds)
-                job, charted = await self._predicted(job, head, tally, where)
-                self._watcher.on_stage("finish")
-                pieces[number], (spent, ran) = await self._tasks.step(
-                    LARGE_PATCHES,
-                    "finish_tile",
-                    "describe_finished",
-                    job,
-                    charted,
-                    self._order.model,
-                    place=where(),
-                )
-                tally.add(*ran, **spent)
-                self._tasks.drop([job, *charted])
-            busy.discard(place or "")
+                tile_stages = self._stages(cloud, info.patches, worker_of)
+                done[number] = await upsample_tile(tile_stages, TileHandle(number))
+            busy.discard(worker or "")
 
-        tasks = [asyncio.create_task(lane(place)) for place in places or (None,)]
+        running = [asyncio.create_task(upsample_some(worker)) for worker in workers or (None,)]
         try:
-            await asyncio.gather(*tasks)
+            await asyncio.gather(*running)
         finally:
-            for task in tasks:
+            for task in running:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-        return pieces
+            await asyncio.gather(*running, return_exceptions=True)
+        return [done[number] for number in range(info.tiles)]
 
-    async def _predicted(
-        self,
-        prepared: Any,
-        head: Head,
-        tally: "_Tally",
-        where: Where = lambda: None,
-    ) -> tuple[Any, list[Any]]:
-        """From patches to charts.
-
-        Returns:
-            The handle of what was prepared, which is another where it was noisy, and those of the
-            charts.
-        """
-        self._watcher.on_stage("predict")
-        began, size = time.perf_counter(), head.patches
-        charted = await self._tasks.predict(prepared, size, where, self._watcher.on_done)
-        if head.noisy:
-            again, head = await self._tasks.step(
-                size,
-                "denoise",
-                "describe_prepared",
-                prepared,
-                charted,
-                self._order.model,
-                place=where(),
-            )
-            if head.noisy:
-                self._tasks.drop([again])
-            else:
-                tally.add(*head.batches)
-                self._tasks.drop([prepared, *charted])
-                prepared = again
-                charted = await self._tasks.predict(prepared, size, where)
-        tally.add(predict=time.perf_counter() - began)
-        return prepared, charted
-
-    async def _by_rows(
-        self,
-        prepared: Any,
-        pieces: list[Any],
-        answer: Collector,
-        tally: "_Tally",
-    ) -> Outcome:
-        """Write the tiles one by one, each where it is, and bring them here in order."""
-        said = [self._tasks.submit("border", piece) for piece in pieces]
-        agreed, (report, spent) = await self._tasks.step(
-            LARGE_PATCHES, "agree", "describe_agreed", prepared, said, self._order.answer
+    def _stages(
+        self, cloud: Handle[Prepared], patches: int, worker_of: WorkerOf = lambda: None
+    ) -> WorkerStages:
+        return WorkerStages(
+            self._tasks,
+            cloud,
+            self._request.model,
+            patches,
+            self._progress,
+            self._times,
+            self._batches,
+            worker_of,
         )
-        self._tasks.drop([prepared, *said])
-        tally.add(finish=spent)
 
-        self._watcher.on_stage("collect")
-        began, waited = time.perf_counter(), 0.0
+    async def _collect(
+        self, answer: Collector, source: Handle[Output] | Handle[Prepared], info: OutputInfo
+    ) -> dict[str, Any]:
+        self._progress.on_stage("collect")
+        with self._times.measure("collect"):
+            await answer.collect(source, info)
+            await answer.flush()
+        return info.report
 
-        async def write(number: int, piece: Any) -> tuple[Any, Sheet]:
+    async def _write_by_rows(
+        self, cloud: Handle[Prepared], tiles: list[Handle[DenseTile]], answer: Collector
+    ) -> dict[str, Any]:
+        """Write the tiles one by one, each where it is, and bring them here in order."""
+        self._progress.on_stage("finish")
+        borders = [self._tasks.submit(output_stages.border, tile) for tile in tiles]
+        agreements, agreed = await self._tasks.step(
+            LARGE_PATCHES,
+            output_stages.agree,
+            (cloud, borders, self._request.answer),
+            output_stages.describe_agreements,
+        )
+        self._tasks.drop(cloud, *borders)
+        self._times.add(agreed.seconds)
+
+        async def write(number: int, tile: Handle[DenseTile]) -> tuple[Handle[Output], OutputInfo]:
             written = await self._tasks.step(
                 LARGE_PATCHES,
-                "write_tile",
-                "describe_written",
-                piece,
-                agreed,
-                number,
-                # Where in the file it goes is known when the tiles before it are.
-                asking=(None,),
+                output_stages.write_tile,
+                (tile, agreements, number),
+                output_stages.describe_output,
+                # Its place in the file is known once the tiles before it are there.
+                (None,),
             )
-            self._tasks.drop([piece])
+            self._tasks.drop(tile)
             return written
 
-        # The workers write while what they wrote before is brought here.
-        window = min(self._pool.warm_workers, _WRITERS) + 1
-        waiting = enumerate(pieces)
-        writing: deque[asyncio.Task[tuple[Any, Sheet]]] = deque()
+        self._progress.on_stage("collect")
+        # Workers write the next tiles while these are brought here.
+        window = min(self._backend.warm_workers, _WRITERS) + 1
+        waiting = enumerate(tiles)
+        writing: deque[asyncio.Task[tuple[Handle[Output], OutputInfo]]] = deque()
         try:
             while True:
                 for each in itertools.islice(waiting, window - len(writing)):
                     writing.append(asyncio.create_task(write(*each)))
                 if not writing:
                     break
-                asked = time.perf_counter()
-                written, sheet = await writing.popleft()
-                waited += time.perf_counter() - asked
-                tally.add(**sheet.seconds)
-                await answer.collect(written, sheet)
-                self._tasks.drop([written])
+                output, info = await writing.popleft()
+                self._times.add(info.seconds)
+                with self._times.measure("collect"):
+                    await answer.collect(output, info)
+                self._tasks.drop(output)
         finally:
             for task in writing:
                 task.cancel()
             await asyncio.gather(*writing, return_exceptions=True)
-        await answer.flush()
-        self._tasks.drop([agreed])
-        tally.add(collect=time.perf_counter() - began - waited)
-        return Outcome(answer.spool, report, tally.seconds, tally.batches)
-
-
-class _Tally:
-    """What a request took so far.
-
-    Attributes:
-        seconds: of each stage, in the order in which they were told of.
-        batches: seconds and patches of each batch that the network ran.
-    """
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.batches: list[tuple[float, int]] = []
-
-    def add(self, *batches: tuple[float, int], **seconds: float) -> None:
-        """Add to both."""
-        self.batches += batches
-        for stage, spent in seconds.items():
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
+        with self._times.measure("collect"):
+            await answer.flush()
+        self._tasks.drop(agreements)
+        return agreed.report

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who goes first: small clouds about in the order they came, large ones in turns beside them.
+"""The order of requests: small ones about first come first served, large ones in turns beside them.
 
 Shortest first would let large clouds wait as long as small ones keep coming; first come first
-served would let small ones wait for large ones. So among small ones a patch more counts as seconds
-of coming later, which nobody can lose to without end. And each kind has workers to count on:
-while there are small clouds, large ones share all workers but one (each of their turns is one
-task), small ones have that one and whatever large clouds leave. As many large clouds begin as
-there are workers; the others wait on disk and hold no memory.
+served would let small ones wait for large ones. Among small clouds the rule is therefore FIFO plus
+3 s a patch; the penalty is finite, so nothing starves. Each kind has workers to count on: while
+there are small clouds, large ones share all workers but one (one task at a time each), and small
+ones have that one and all that large clouds leave. As many large clouds run as there are workers;
+the others wait on disk and hold no memory.
 """
 
 import asyncio
@@ -14,26 +14,29 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from types import TracebackType
 
-__all__ = ["LARGE_PATCHES", "Lanes", "Line"]
+__all__ = ["LARGE_PATCHES", "FairSemaphore", "SchedulingPolicy"]
 
 LARGE_PATCHES = 8
-"""From here on preparing a cloud and finishing it take seconds."""
+"""From this number of patches on, preparing a cloud and finishing it take seconds."""
 
-_LANE = 1e12  # seconds that no service lives
-_HANDICAP_S = 3.0
+_CLASS_S = 1e12  # seconds between the priorities of two classes; longer than any service lives
+_PENALTY_S = 3.0  # seconds of later arrival that a patch counts as
 
 
-class Line:
-    """A door that lets so many in at one time, first come first served.
+class FairSemaphore:
+    """A semaphore that is first come first served and whose size may change.
 
     Args:
-        places: how many may be inside now; at least one is let in.
+        size: returns the number of holders allowed now; at least one is always allowed.
+
+    Attributes:
+        holders: number of holders now.
     """
 
-    def __init__(self, places: Callable[[], int]) -> None:
-        self._places = places
+    def __init__(self, size: Callable[[], int]) -> None:
+        self._size = size
         self._waiting: deque[asyncio.Future[None]] = deque()
-        self.inside = 0
+        self.holders = 0
 
     async def __aenter__(self) -> None:
         turn = asyncio.get_running_loop().create_future()
@@ -42,9 +45,9 @@ class Line:
         try:
             await turn
         except asyncio.CancelledError:
-            # It may have been let in just when it stopped waiting.
+            # It may have been admitted at the moment when it was cancelled.
             if not turn.cancelled():
-                self._leave()
+                self._release()
             raise
 
     async def __aexit__(
@@ -53,70 +56,70 @@ class Line:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._leave()
+        self._release()
 
-    def _leave(self) -> None:
-        self.inside -= 1
+    def _release(self) -> None:
+        self.holders -= 1
         self._admit()
 
     def _admit(self) -> None:
-        while self._waiting and self.inside < max(1, self._places()):
+        while self._waiting and self.holders < max(1, self._size()):
             turn = self._waiting.popleft()
-            # Who stopped waiting is still in the line.
+            # A cancelled waiter is still in the queue.
             if not turn.done():
-                self.inside += 1
+                self.holders += 1
                 turn.set_result(None)
 
 
-class Lanes:
-    """What all requests of an engine share.
+class SchedulingPolicy:
+    """State that all requests of an engine share, and the priorities of their tasks.
 
     Args:
-        workers: how many are warm now.
+        workers: returns the number of warm workers.
 
     Attributes:
-        entrance: large requests that have begun.
-        turns: tasks of large clouds that go before everything else.
-        requests: that are under way.
-        small: those of them to which large clouds leave a worker.
-        load: parts of stages that each worker was given to do.
+        large_requests: held by large requests that have begun.
+        turns: held by each task of a large cloud that runs before all other tasks.
+        requests: all requests under way.
+        small: the small ones, for which large clouds leave one worker free.
+        load: number of queued tasks that were placed on each worker.
     """
 
-    FIRST = _LANE
-    """Priority of what has a turn, or is done in no time."""
+    FIRST = _CLASS_S
+    """Priority of tasks that have a turn, or take no time."""
 
     def __init__(self, workers: Callable[[], int]) -> None:
-        self.entrance = Line(workers)
-        self.turns = Line(lambda: workers() - bool(self.small))
+        self.large_requests = FairSemaphore(workers)
+        self.turns = FairSemaphore(lambda: workers() - bool(self.small))
         self.requests: set[object] = set()
         self.small: set[object] = set()
         self.load: Counter[str] = Counter()
 
-    def stand(self, who: object, patches: int, *, background: bool) -> None:
-        """Say that a request is under way, and how large it is as far as is known."""
-        self.requests.add(who)
+    def register(self, request: object, patches: int, *, background: bool) -> None:
+        """Note that a request is under way, and its size as far as it is known."""
+        self.requests.add(request)
         if patches < LARGE_PATCHES and not background:
-            self.small.add(who)
+            self.small.add(request)
         else:
-            self.small.discard(who)
+            self.small.discard(request)
 
-    def leave(self, who: object) -> None:
-        """Say that a request is over."""
-        self.requests.discard(who)
-        self.small.discard(who)
+    def unregister(self, request: object) -> None:
+        """Note that a request is over."""
+        self.requests.discard(request)
+        self.small.discard(request)
 
-    def emptiest(self, places: Sequence[str]) -> str | None:
-        """Return the worker with the fewest parts to do; ``None`` if there is none."""
-        return min(places, key=lambda place: self.load[place], default=None)
+    def least_loaded(self, workers: Sequence[str]) -> str | None:
+        """Return the worker with the fewest placed tasks; ``None`` if there is no worker."""
+        return min(workers, key=lambda worker: self.load[worker], default=None)
 
     @staticmethod
-    def priority(came: float, patches: int, *, background: bool) -> float:
+    def priority(arrived: float, patches: int, *, background: bool) -> float:
         """Return the priority of tasks without a turn; larger runs earlier.
 
         Args:
-            came: when the request came, in seconds of any clock.
+            arrived: time of the request, in seconds of any clock.
             patches: of its cloud.
-            background: nobody waits for it.
+            background: nobody waits on a connection.
         """
         large = patches >= LARGE_PATCHES
-        return -_LANE * (large + 2 * background) - (came + _HANDICAP_S * patches)
+        return -_CLASS_S * (large + 2 * background) - (arrived + _PENALTY_S * patches)

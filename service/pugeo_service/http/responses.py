@@ -8,7 +8,7 @@ from typing import Any
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from pugeo_service.engine import Outcome
+from pugeo_service.engine import RunResult
 from pugeo_service.http.negotiation import Offer
 
 __all__ = ["DenseAnswer", "answer_headers", "run_headers"]
@@ -17,7 +17,7 @@ __all__ = ["DenseAnswer", "answer_headers", "run_headers"]
 _NOTES_BYTES = 2048
 
 
-def answer_headers(outcome: Outcome, offer: Offer, card: dict[str, Any]) -> dict[str, str]:
+def answer_headers(outcome: RunResult, offer: Offer, card: dict[str, Any]) -> dict[str, str]:
     """Return all headers of an answer that is sent as soon as it is there."""
     return {
         **run_headers(outcome.report, outcome.seconds, offer, card),
@@ -62,7 +62,7 @@ class DenseAnswer(Response):
     first byte.
     """
 
-    def __init__(self, outcome: Outcome, headers: dict[str, str]) -> None:
+    def __init__(self, outcome: RunResult, headers: dict[str, str]) -> None:
         self.status_code = 200
         self.background = None
         self.init_headers(headers)

@@ -4,13 +4,13 @@
 import asyncio
 
 from pugeo_service.admission.admission import Admission, Hold
-from pugeo_service.engine import Engine, Order, Outcome
+from pugeo_service.engine import Engine, RunRequest, RunResult
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, Success
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
-from pugeo_service.runs import count_run, engine_problems, make_order
+from pugeo_service.runs import count_run, engine_problems, make_run_request
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 
@@ -75,7 +75,7 @@ class Attempt:
 
     async def _admitted(self) -> Hold:
         """Wait until the patches of all jobs that run leave room for these."""
-        patches = Order.estimate(self._job.input_bytes, self._job.format)
+        patches = RunRequest.estimate(self._job.input_bytes, self._job.format)
         while True:
             try:
                 hold = self._admission.hold()
@@ -85,9 +85,9 @@ class Attempt:
             else:
                 return hold
 
-    async def _upsampled(self, hold: Hold) -> Outcome:
+    async def _upsampled(self, hold: Hold) -> RunResult:
         job, settings = self._job, self._settings
-        order = make_order(
+        order = make_run_request(
             settings,
             UpsampleQuery(**job.options).for_model(),
             format=job.format,
@@ -119,7 +119,7 @@ class Attempt:
             fields = {"limit": settings.jobs_deadline_s}
             raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
-    async def _kept(self, outcome: Outcome) -> Success:
+    async def _kept(self, outcome: RunResult) -> Success:
         with storage_problems(), self._files.new_result(self._job.id) as file:
             async for data in outcome.spool.chunks():
                 await file.write(data)

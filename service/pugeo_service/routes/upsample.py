@@ -10,7 +10,7 @@ from pugeo_model.errors import CloudError
 from pugeo_service.admission.admission import Hold
 from pugeo_service.admission.deadline import Deadline
 from pugeo_service.container import Service, ServiceDep
-from pugeo_service.engine import Order, Outcome
+from pugeo_service.engine import RunRequest, RunResult
 from pugeo_service.http.body import Body, ClientDisconnectedError, receive_body
 from pugeo_service.http.cancellation import DeadlinePassedError, while_connected
 from pugeo_service.http.negotiation import OFFERS, Offer
@@ -21,7 +21,7 @@ from pugeo_service.keys import owner_of
 from pugeo_service.observability.tracing import StageSpans
 from pugeo_service.problems import ProblemError, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
-from pugeo_service.runs import count_run, engine_problems, make_order, offer_of
+from pugeo_service.runs import count_run, engine_problems, make_run_request, offer_of
 from pugeo_service.storage.spool import Spool
 
 __all__ = ["router"]
@@ -74,7 +74,7 @@ async def upsample(
 
 async def _serve(
     request: Request, service: Service, offer: Offer, query: UpsampleQuery, deadline: Deadline
-) -> Outcome:
+) -> RunResult:
     if service.not_ready_because == "no_worker":
         raise ProblemError(503, "no_worker", "No worker is warm yet; try again.", retry_after=2)
     with service.admission.hold(owner_of(request)) as hold:
@@ -82,7 +82,7 @@ async def _serve(
             async with deadline.arriving():
                 body = await receive_body(request, service.settings, hold)
             with body.spool:
-                hold.enter(Order.estimate(body.spool.size, body.format))
+                hold.enter(RunRequest.estimate(body.spool.size, body.format))
                 hold.check_deadline(deadline.left, service.engine.status.workers, sized=False)
                 return await _run(request, service, body, offer, query, hold, deadline)
         except DeadlinePassedError as error:
@@ -100,10 +100,10 @@ async def _run(
     query: UpsampleQuery,
     hold: Hold,
     deadline: Deadline,
-) -> Outcome:
+) -> RunResult:
     settings = service.settings
     # The deadline is the service's own and never the client's: a worker that overruns it is ended.
-    order = make_order(
+    order = make_run_request(
         settings,
         query.for_model(),
         format=body.format,

@@ -21,9 +21,9 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
 
     class Watched(Recorder):
         async def fetch(self, handle: Handle) -> Any:
-            if handle.stage == "chunk":
+            if handle.stage == "read_chunk":
                 await asyncio.sleep(0.05)
-                live.append(sum(each.live for each in self.of("finish_tile")))
+                live.append(sum(each.live for each in self.of("densify")))
             return await super().fetch(handle)
 
     pool = Watched(9, tiles=5, by_rows=True)
@@ -39,7 +39,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert all(handle.args[1] is agreed for handle in written)
     assert outcome.report == {"points_in": 1}
     assert (outcome.seconds["finish"], outcome.seconds["write"]) == (7.0, 0.0)
-    assert (outcome.seconds["land"], outcome.seconds["merge"]) == (2.5, 1.25)
+    assert (outcome.seconds["project"], outcome.seconds["merge"]) == (2.5, 1.25)
     assert not any(handle.live for handle in pool.handles)
 
 

@@ -14,44 +14,44 @@ import numpy as np
 import pytest
 from distributed.batched import BatchedSend
 from distributed.spans import Span
+from tests.service.engine import light_stages as light
 
 from pugeo_model.errors import MalformedFileError
 from pugeo_service.engine import dask_backend
-from pugeo_service.engine.dask_backend import DaskPool
+from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.engine.errors import WorkerLostError
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 
-Scenario = Callable[[DaskPool], Awaitable[None]]
+Scenario = Callable[[DaskBackend], Awaitable[None]]
 Play = Callable[..., None]
 
 
 @pytest.fixture
 def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
-    """Run a scenario against a pool of light workers."""
-    light = Path(__file__).with_name("preload_light.py")
-    config = {**dask_backend._CONFIG, "distributed.worker.preload": [str(light)]}
+    """Run a scenario against a backend of light workers."""
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
     monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
     @asynccontextmanager
-    async def opened(workers: int) -> AsyncIterator[DaskPool]:
-        pool = DaskPool(Settings(workers=workers, spool_dir=tmp_path))
+    async def opened(workers: int) -> AsyncIterator[DaskBackend]:
+        backend = DaskBackend(Settings(workers=workers, spool_dir=tmp_path))
         try:
-            await pool.start()
-            yield pool
+            await backend.start()
+            yield backend
         finally:
-            await pool.stop()
+            await backend.stop()
 
     async def run(scenario: Scenario, workers: int) -> None:
-        async with opened(workers) as pool:
-            await scenario(pool)
+        async with opened(workers) as backend:
+            await scenario(backend)
 
     return lambda scenario, workers=2: asyncio.run(run(scenario, workers))
 
 
 def submit(
-    pool: DaskPool,
+    backend: DaskBackend,
     stage: Any,
     *args: Any,
     priority: float = 0,
@@ -59,14 +59,14 @@ def submit(
     patches: int = 0,
 ) -> Any:
     """Submit with defaults."""
-    return pool.submit(
+    return backend.submit(
         stage, *args, priority=priority, seconds=seconds, long=False, patches=patches
     )
 
 
-async def warm(pool: DaskPool, count: int) -> None:
+async def warm(backend: DaskBackend, count: int) -> None:
     """Wait until there are so many workers."""
-    await until(lambda: pool.warm_workers == count)
+    await until(lambda: backend.warm_workers == count)
 
 
 async def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
@@ -81,12 +81,12 @@ async def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
 def test_results_feed_tasks(play: Play) -> None:
     """Handles, and lists of handles, arrive as values; released ones still feed what waits."""
 
-    async def scenario(pool: DaskPool) -> None:
-        one = submit(pool, "add", 1, 0)
-        two = submit(pool, "add", one, [one, one])
-        three = submit(pool, "add", two, np.float64(0.5))
-        pool.release([one, two])
-        assert await pool.fetch(three) == 3.5
+    async def scenario(backend: DaskBackend) -> None:
+        one = submit(backend, light.add, 1, 0)
+        two = submit(backend, light.add, one, [one, one])
+        three = submit(backend, light.add, two, np.float64(0.5))
+        backend.release([one, two])
+        assert await backend.fetch(three) == 3.5
 
     play(scenario)
 
@@ -94,11 +94,11 @@ def test_results_feed_tasks(play: Play) -> None:
 def test_errors_of_a_stage_arrive(play: Play) -> None:
     """A CloudError crosses with its code and fields, also through a task that depends on it."""
 
-    async def scenario(pool: DaskPool) -> None:
-        bad = submit(pool, "refuse")
-        for handle in (bad, submit(pool, "add", 1, bad)):
+    async def scenario(backend: DaskBackend) -> None:
+        bad = submit(backend, light.refuse)
+        for handle in (bad, submit(backend, light.add, 1, bad)):
             with pytest.raises(MalformedFileError, match="cut short") as caught:
-                await pool.wait(handle)
+                await backend.wait(handle)
             assert (caught.value.code, caught.value.fields) == ("truncated", {"expected": 7})
 
     play(scenario)
@@ -107,17 +107,17 @@ def test_errors_of_a_stage_arrive(play: Play) -> None:
 def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
     """A task that ends two workers is given up; results and workers of others come back."""
 
-    async def scenario(pool: DaskPool) -> None:
-        kept = submit(pool, "add", 20, 22)
-        await pool.wait(kept)
-        poison = submit(pool, "die", 0.3, priority=10)
+    async def scenario(backend: DaskBackend) -> None:
+        kept = submit(backend, light.add, 20, 22)
+        await backend.wait(kept)
+        poison = submit(backend, light.die, 0.3, priority=10)
         with pytest.raises(WorkerLostError):
-            await pool.wait(poison)
-        assert await pool.fetch(kept) == 42
-        naps = [submit(pool, "nap", 0.1, str(tmp_path / "log"), str(n)) for n in range(6)]
-        assert [await pool.fetch(nap) for nap in naps] == list("012345")
-        await warm(pool, 2)
-        assert pool.lost_workers == 2
+            await backend.wait(poison)
+        assert await backend.fetch(kept) == 42
+        naps = [submit(backend, light.nap, 0.1, str(tmp_path / "log"), str(n)) for n in range(6)]
+        assert [await backend.fetch(nap) for nap in naps] == list("012345")
+        await warm(backend, 2)
+        assert backend.lost_workers == 2
 
     play(scenario)
 
@@ -125,30 +125,30 @@ def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
 def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
     """A task that a dead worker had begun counts with its patches; one that ran once does not."""
 
-    async def scenario(pool: DaskPool) -> None:
-        napping = submit(pool, "nap", 3, str(tmp_path / "log"), "slept", patches=5)
+    async def scenario(backend: DaskBackend) -> None:
+        napping = submit(backend, light.nap, 3, str(tmp_path / "log"), "slept", patches=5)
         await asyncio.sleep(1)
-        assert pool.retried_patches == 0
-        worker = next(iter(pool._cluster.workers.values()))
+        assert backend.retried_patches == 0
+        worker = next(iter(backend._cluster.workers.values()))
         await worker.kill()
-        assert await pool.fetch(napping) == "slept"
-        assert await pool.fetch(submit(pool, "add", 1, 1, patches=7)) == 2
-        await until(lambda: pool.retried_patches == 5, seconds=5)
+        assert await backend.fetch(napping) == "slept"
+        assert await backend.fetch(submit(backend, light.add, 1, 1, patches=7)) == 2
+        await until(lambda: backend.retried_patches == 5, seconds=5)
 
     play(scenario, workers=1)
 
 
 def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
-    """After its time and a grace, the process ends itself, and the pool goes on."""
+    """After its time and a grace, the process ends itself, and the backend goes on."""
 
-    async def scenario(pool: DaskPool) -> None:
+    async def scenario(backend: DaskBackend) -> None:
         start = time.monotonic()
-        hung = submit(pool, "nap", 60, str(tmp_path / "log"), "hung", seconds=0)
+        hung = submit(backend, light.nap, 60, str(tmp_path / "log"), "hung", seconds=0)
         await asyncio.sleep(5)
-        pool.cancel([hung])
-        await until(lambda: pool.lost_workers == 1, seconds=20)
+        backend.cancel([hung])
+        await until(lambda: backend.lost_workers == 1, seconds=20)
         assert time.monotonic() - start < 20
-        assert await pool.fetch(submit(pool, "add", 1, 1)) == 2
+        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
 
     play(scenario, workers=1)
 
@@ -156,11 +156,11 @@ def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
 def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
     """Left alone, Dask keeps a record of every request, and bodies in logs of sent messages."""
 
-    async def scenario(pool: DaskPool) -> None:
+    async def scenario(backend: DaskBackend) -> None:
         for number in range(30):
-            handle = submit(pool, "add", number, np.zeros(1000))
-            await pool.fetch(handle)
-            pool.release([handle])
+            handle = submit(backend, light.add, number, np.zeros(1000))
+            await backend.fetch(handle)
+            backend.release([handle])
         gc.collect()
         kept = gc.get_objects()
         logs = [len(each.recent_message_log) for each in kept if type(each) is BatchedSend]
@@ -174,14 +174,15 @@ def test_priority_decides(play: Play, tmp_path: Path) -> None:
     """What is queued later with a higher priority runs earlier."""
     log = tmp_path / "log"
 
-    async def scenario(pool: DaskPool) -> None:
+    async def scenario(backend: DaskBackend) -> None:
         large = [
-            submit(pool, "nap", 0.2, str(log), f"large{n}", priority=-100 + n) for n in range(8)
+            submit(backend, light.nap, 0.2, str(log), f"large{n}", priority=-100 + n)
+            for n in range(8)
         ]
         await asyncio.sleep(0.5)
-        small = submit(pool, "nap", 0.0, str(log), "small", priority=-1)
+        small = submit(backend, light.nap, 0.0, str(log), "small", priority=-1)
         for handle in [small, *large]:
-            await pool.wait(handle)
+            await backend.wait(handle)
         assert log.read_text().split().index("small") <= 4
 
     play(scenario, workers=1)
@@ -191,13 +192,13 @@ def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
     """A quick stage runs beside one that works; those that work run one at a time."""
     log = tmp_path / "log"
 
-    async def scenario(pool: DaskPool) -> None:
-        naps = [submit(pool, "nap", 5, str(log), name) for name in ("first", "second")]
+    async def scenario(backend: DaskBackend) -> None:
+        naps = [submit(backend, light.nap, 5, str(log), name) for name in ("first", "second")]
         await until(lambda: log.exists() and log.read_text() == "first\n")
-        assert await pool.fetch(submit(pool, "chunk", 1, 1)) == 2
+        assert await backend.fetch(submit(backend, light.add_quickly, 1, 1)) == 2
         assert log.read_text().split() == ["first"]
         assert not naps[0].done()
-        assert [await pool.fetch(nap) for nap in naps] == ["first", "second"]
+        assert [await backend.fetch(nap) for nap in naps] == ["first", "second"]
 
     play(scenario, workers=1)
 
@@ -209,8 +210,8 @@ def test_a_worker_without_a_core_does_not_count(
     config = {**dask_backend._CONFIG, "distributed.worker.preload": []}
     monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
-    async def scenario(pool: DaskPool) -> None:
-        assert (pool.warm_workers, pool.places) == (0, ())
+    async def scenario(backend: DaskBackend) -> None:
+        assert (backend.warm_workers, backend.worker_names) == (0, ())
 
     play(scenario, workers=1)
 
@@ -219,12 +220,12 @@ def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
     """What nobody waits for any more leaves the queue."""
     log = tmp_path / "log"
 
-    async def scenario(pool: DaskPool) -> None:
-        handles = [submit(pool, "nap", 0.3, str(log), str(n)) for n in range(10)]
+    async def scenario(backend: DaskBackend) -> None:
+        handles = [submit(backend, light.nap, 0.3, str(log), str(n)) for n in range(10)]
         await asyncio.sleep(0.4)
-        pool.cancel(handles)
+        backend.cancel(handles)
         await asyncio.sleep(1.0)
-        assert await pool.fetch(submit(pool, "add", 1, 1)) == 2
+        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
         assert len(log.read_text().split()) < 5
 
     play(scenario, workers=1)
@@ -233,11 +234,11 @@ def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
 def test_a_watcher_that_gave_up_is_replaced(play: Play) -> None:
     """A worker whose nanny closed, as after a failed restart, comes back all the same."""
 
-    async def scenario(pool: DaskPool) -> None:
-        first = await pool.fetch(submit(pool, "pid"))
-        await next(iter(pool._cluster.workers.values())).close()
-        await warm(pool, 1)
-        assert await pool.fetch(submit(pool, "pid")) != first
+    async def scenario(backend: DaskBackend) -> None:
+        first = await backend.fetch(submit(backend, light.pid))
+        await next(iter(backend._cluster.workers.values())).close()
+        await warm(backend, 1)
+        assert await backend.fetch(submit(backend, light.pid)) != first
 
     play(scenario, workers=1)
 
@@ -246,7 +247,7 @@ def test_nothing_else_listens(play: Play) -> None:
     """Every port of the cluster is on loopback; its web server answers nothing."""
     psutil: Any = importlib.import_module("psutil")
 
-    async def scenario(pool: DaskPool) -> None:
+    async def scenario(backend: DaskBackend) -> None:
         processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
         ports = [
             connection.laddr
@@ -256,8 +257,8 @@ def test_nothing_else_listens(play: Play) -> None:
         ]
         assert ports
         assert {address.ip for address in ports} == {"127.0.0.1"}
-        assert pool._cluster.scheduler.http_application.find_handler is not None
-        web = pool._cluster.scheduler.http_server.port
+        assert backend._cluster.scheduler.http_application.find_handler is not None
+        web = backend._cluster.scheduler.http_server.port
         reader, writer = await asyncio.open_connection("127.0.0.1", web)
         writer.write(b"GET /info/main/workers.html HTTP/1.0\r\n\r\n")
         assert b"404" in await reader.readline()

@@ -5,26 +5,34 @@ import asyncio
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
-from tests.service.engine.recorder import ORDER, Handle, Recorder, run
+from tests.service.engine.recorder import REQUEST, Handle, Recorder, run
 
 from pugeo_service.engine import dispatch as module
+from pugeo_service.engine import stages
+from pugeo_service.engine.backend import Backend
 from pugeo_service.engine.errors import EngineLostError
-from pugeo_service.engine.messages import Head, InMemory, Sheet, Watcher
-from pugeo_service.engine.orchestrator import Flow
-from pugeo_service.engine.scheduling import LARGE_PATCHES, Lanes
+from pugeo_service.engine.messages import InMemory, OutputInfo, PreparedInfo, ProgressCallbacks
+from pugeo_service.engine.orchestrator import Orchestrator
+from pugeo_service.engine.scheduling import LARGE_PATCHES, SchedulingPolicy
+
+
+@pytest.fixture(autouse=True)
+def two_patches_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks of two patches, so that parts and patches can be told apart."""
+    monkeypatch.setattr(module, "_CARRIED_PATCHES", 2)
 
 
 def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
     """Batches cover all patches, and reach merge in the order of the patches."""
     pool = Recorder(7, seconds=lambda handle: 0.05 if handle.args[0].args[1] == 0 else 0.0)
     _, data = run(pool, tmp_path)
-    cuts = [handle.args[1:] for handle in pool.of("cut_patches")]
+    cuts = [handle.args[1:] for handle in pool.of("take_patches")]
     assert cuts == [(0, 2), (2, 4), (4, 6), (6, 7)]
-    charted = pool.of("finish")[0].args[1]
+    charted = pool.of("densify")[0].args[1]
     assert [handle.args[0].args[1:] for handle in charted] == cuts
     assert data == b"012"
 
@@ -35,12 +43,11 @@ def test_a_cloud_in_tiles(tmp_path: Path) -> None:
     outcome, data = run(pool, tmp_path)
     assert data == b"012"
     (joined,) = pool.of("assemble")
-    assert [piece.stage for piece in joined.args[1]] == ["finish_tile"] * 5
+    assert [piece.stage for piece in joined.args[1]] == ["densify"] * 5
     tiles = [piece.args[0].args[0] for piece in joined.args[1]]
     assert [tile.args[1] for tile in tiles] == list(range(5))
-    assert not pool.of("finish")
-    stages = [handle.stage for handle in pool.handles if handle.stage.endswith("_tile")]
-    assert stages[:2] == ["cut_tile", "prepare_tile"]
+    order = [handle.stage for handle in pool.handles if handle.stage.endswith("_tile")]
+    assert order[:2] == ["take_tile", "prepare_tile"]
     assert (outcome.seconds["prepare"], len(outcome.batches)) == (6.0, 5)
     assert not any(handle.live for handle in pool.handles)
 
@@ -50,40 +57,39 @@ def test_tiles_stay_on_their_workers(tmp_path: Path) -> None:
     pool = Recorder(9, seconds=lambda _: 0.001, tiles=3, by_rows=True)
     run(pool, tmp_path)
     jobs = pool.of("prepare_tile")
-    assert [job.place for job in jobs[:2]] == ["one", "two"]
+    assert [job.worker for job in jobs[:2]] == ["one", "two"]
     for job in jobs[:2]:
-        parts = [part for part in pool.of("predict_part") if part.args[0] is job]
+        parts = [part for part in pool.of("predict_in_place") if part.args[0] is job]
         assert sorted(part.args[1:3] for part in parts) == [(0, 3), (3, 6), (6, 9)]
-        assert {part.place for part in parts} == {job.place}
+        assert {part.worker for part in parts} == {job.worker}
     helped = [part for part in pool.of("predict") if part.args[0].args[0] is jobs[2]]
-    assert {part.place for part in helped} == {"one", "two"}
+    assert {part.worker for part in helped} == {"one", "two"}
 
 
 def test_parts_go_where_least_is_to_do(tmp_path: Path) -> None:
     """Left alone, Dask would run all of them where the cloud was prepared."""
-    pool, lanes = Recorder(7, seconds=lambda _: 0.001), Lanes(lambda: 2)
-    lanes.load["one"] = 2
-    run(pool, tmp_path, lanes=lanes)
-    assert [part.place for part in pool.of("predict")] == ["two", "two", "one", "two"]
-    assert lanes.load["two"] == lanes.load["one"] - 2 == 0
+    pool, policy = Recorder(7, seconds=lambda _: 0.001), SchedulingPolicy(lambda: 2)
+    policy.load["one"] = 2
+    run(pool, tmp_path, policy=policy)
+    assert [part.worker for part in pool.of("predict")] == ["two", "two", "one", "two"]
+    assert policy.load["two"] == policy.load["one"] - 2 == 0
 
 
 def test_nothing_is_spread_when_each_worker_has_a_request(tmp_path: Path) -> None:
     """A small cloud is then one task; a job, whose tasks others overtake, stays in parts."""
-    lanes = Lanes(lambda: 2)
+    policy = SchedulingPolicy(lambda: 2)
     asked: list[int] = []
     for others in (0, 1):
-        for order in (ORDER, replace(ORDER, background=True)):
+        for request in (REQUEST, replace(REQUEST, background=True)):
             pool = Recorder(2)
-            run(pool, tmp_path, order=order, lanes=lanes)
-            asked.append(pool.of("prepare")[0].args[1].at_once_patches)
-            # Two patches for two workers are two parts, though one could hold both.
-            assert len(pool.of("predict")) == 2 - 2 * others
-        lanes.stand(others, 1, background=False)
+            run(pool, tmp_path, request=request, policy=policy)
+            asked.append(pool.of("prepare")[0].args[1].one_task_patches)
+            assert len(pool.of("predict")) == 1 - others
+        policy.register(others, 1, background=False)
     assert asked == [1, 1, LARGE_PATCHES - 1, 1]
 
 
-@pytest.mark.parametrize("stage", ["predict_part", "prepare_tile", "agree", "write_tile"])
+@pytest.mark.parametrize("stage", ["predict_in_place", "prepare_tile", "agree", "write_tile"])
 def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
     """Its error is the cloud's, and the other tiles are given back."""
     pool = Recorder(9, fails=stage, tiles=5, by_rows=True)
@@ -99,16 +105,25 @@ def test_a_cloud_that_is_done_at_once(tmp_path: Path) -> None:
     class Quick(Recorder):
         async def fetch(self, handle: Handle) -> Any:
             if handle.stage == "describe_prepared":
-                sheet = Sheet(2, b"0", {"points_in": 1}, {"finish": 0.5})
-                return Head(1, 1, {"prepare": 1.0, "predict": 2.0}, False, sheet, ((2.0, 1),))
+                output = OutputInfo(
+                    2,
+                    b"0",
+                    {"points_in": 1},
+                    {"prepare": 1.0, "predict": 2.0, "finish": 0.5},
+                    ((2.0, 1),),
+                )
+                return PreparedInfo(1, 1, {}, output=output)
             return await super().fetch(handle)
 
     done: list[int] = []
     pool = Quick(1)
-    outcome, data = run(pool, tmp_path, Watcher(on_done=done.append))
+    outcome, data = run(pool, tmp_path, ProgressCallbacks(on_done=done.append))
     assert data == b"01"
-    stages = [handle.stage for handle in pool.handles]
-    assert stages == ["prepare", "describe_prepared", "at_once", "chunk"]
+    assert [handle.stage for handle in pool.handles] == [
+        "prepare",
+        "describe_prepared",
+        "read_chunk",
+    ]
     assert (outcome.batches, done) == ([(2.0, 1)], [1])
     assert outcome.seconds["finish"] == 0.5
     assert not any(handle.live for handle in pool.handles)
@@ -127,7 +142,7 @@ def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
     large, small = Recorder(20), Recorder(LARGE_PATCHES - 1)
     for pool in (large, small):
         run(pool, tmp_path)
-    tasks = ("predict", "finish")
+    tasks = ("predict", "densify")
     ranks = {handle.priority for stage in tasks for handle in small.of(stage)}
     assert len(ranks) == 1
     assert min(ranks) > min(handle.priority for handle in large.of("predict"))
@@ -138,17 +153,20 @@ def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
 def test_large_requests_have_turns(tmp_path: Path) -> None:
     """One task of theirs at a time goes before everything else: stages, and some batches."""
     pool = Recorder(80, seconds=lambda _: 0.01)
-    lanes = Lanes(lambda: 2)
-    run(pool, tmp_path, lanes=lanes)
-    assert pool.of("finish")[0].priority == Lanes.FIRST
-    assert pool.of("finish")[0].long
-    assert {handle.priority == Lanes.FIRST for handle in pool.of("predict")} == {True, False}
-    assert lanes.turns.inside == lanes.entrance.inside == 0
+    policy = SchedulingPolicy(lambda: 2)
+    run(pool, tmp_path, policy=policy)
+    assert pool.of("densify")[0].priority == SchedulingPolicy.FIRST
+    assert pool.of("densify")[0].long
+    assert {handle.priority == SchedulingPolicy.FIRST for handle in pool.of("predict")} == {
+        True,
+        False,
+    }
+    assert policy.turns.holders == policy.large_requests.holders == 0
 
 
 def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> None:
     """The body of the next is read when one has ended; small ones never wait for that."""
-    lanes = Lanes(lambda: 1)
+    policy = SchedulingPolicy(lambda: 1)
     begun: list[str] = []
 
     class Body(InMemory):
@@ -162,7 +180,7 @@ def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> No
 
     async def one(name: str, size: int, patches: int) -> None:
         pool = Recorder(patches, seconds=lambda _: 0.02)
-        flow = Flow(pool, ORDER, lanes, Watcher(), tmp_path)
+        flow = Orchestrator(cast("Backend", pool), REQUEST, policy, ProgressCallbacks(), tmp_path)
         (await flow.run(Body(name, size))).spool.close()
         begun.append(f"{name} ended")
 
@@ -184,14 +202,14 @@ def test_large_requests_are_not_starved(tmp_path: Path, monkeypatch: pytest.Monk
     pool = Recorder(20, seconds=lambda handle: 30.0 if handle.priority < 0 else 0.0)
     _, data = run(pool, tmp_path)
     assert data == b"012"
-    cuts = [handle.args[1:] for handle in pool.of("cut_patches") if handle.priority > 0]
+    cuts = [handle.args[1:] for handle in pool.of("take_patches") if handle.priority > 0]
     assert sorted(cuts) == [(start, start + 2) for start in range(0, 20, 2)]
 
 
 def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A job behind endless requests gets its stages and batches done, one in each while."""
     monkeypatch.setattr(module, "_BACKGROUND_PATIENCE_S", 0.05)
-    order = replace(ORDER, background=True)
+    request = replace(REQUEST, background=True)
 
     class Busy(Recorder):
         async def fetch(self, handle: Handle) -> Any:
@@ -201,16 +219,16 @@ def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.M
             return await super().fetch(handle)
 
     pool = Busy(3, seconds=lambda handle: 30.0 if handle.priority < 0 else 0.0)
-    _, data = run(pool, tmp_path, order=order)
+    _, data = run(pool, tmp_path, request=request)
     assert data == b"012"
-    cuts = [handle.args[1:] for handle in pool.of("cut_patches") if handle.priority > 0]
+    cuts = [handle.args[1:] for handle in pool.of("take_patches") if handle.priority > 0]
     assert sorted(cuts) == [(0, 2), (2, 3)]
 
 
 def test_progress_is_told(tmp_path: Path) -> None:
     """First how many patches there are, then each batch."""
     told: list[int] = []
-    run(Recorder(5), tmp_path, Watcher(lambda count: told.append(-count), told.append))
+    run(Recorder(5), tmp_path, ProgressCallbacks(lambda count: told.append(-count), told.append))
     assert told[0] == -5
     assert sum(told[1:]) == 5
 
@@ -220,18 +238,18 @@ def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -
     """One of the first, whose forerunner nobody waits for yet, or one that has a turn."""
 
     class Broken(Recorder):
-        def submit(self, stage: str, *args: Any, priority: float, **more: Any) -> Handle:
-            if stage == "cut_patches" and len(self.of(stage)) == queued:
-                raise EngineLostError(f"turn: {priority == Lanes.FIRST}")
+        def submit(self, stage: Any, *args: Any, priority: float, **more: Any) -> Handle:
+            if stage is stages.take_patches and len(self.of("take_patches")) == queued:
+                raise EngineLostError(f"turn: {priority == SchedulingPolicy.FIRST}")
             return super().submit(stage, *args, priority=priority, **more)
 
-    pool, lanes = Broken(40, seconds=lambda _: 0.001), Lanes(lambda: 2)
+    pool, policy = Broken(40, seconds=lambda _: 0.001), SchedulingPolicy(lambda: 2)
     with pytest.raises(EngineLostError, match=str(turn)):
-        run(pool, tmp_path, lanes=lanes)
-    assert not any([*lanes.load.values(), *(handle.live for handle in pool.handles)])
+        run(pool, tmp_path, policy=policy)
+    assert not any([*policy.load.values(), *(handle.live for handle in pool.handles)])
 
 
-@pytest.mark.parametrize("stage", ["", "predict", "finish"])
+@pytest.mark.parametrize("stage", ["", "predict", "densify"])
 def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
     """After a success and after an error, every handle is given back."""
     pool = Recorder(9, fails=stage)

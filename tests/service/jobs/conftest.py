@@ -20,7 +20,7 @@ import pytest
 from pugeo_model.errors import MalformedFileError
 from pugeo_service import app as app_module
 from pugeo_service.app import create_app
-from pugeo_service.engine import EngineLostError, Order, Outcome, WorkerLostError
+from pugeo_service.engine import EngineLostError, RunRequest, RunResult, WorkerLostError
 from pugeo_service.engine.engine import Status
 from pugeo_service.jobs.manager import Jobs
 from pugeo_service.settings import Settings
@@ -45,7 +45,7 @@ class PlayedEngine:
         self.hold = asyncio.Event()
         self.hold.set()
         self.began: list[bytes] = []
-        self.orders: list[Order] = []
+        self.orders: list[RunRequest] = []
         self.running = 0
         self.most_running = 0
         self.lose = 0
@@ -63,12 +63,12 @@ class PlayedEngine:
     async def run(
         self,
         body: Any,
-        order: Order,
+        order: RunRequest,
         *,
         on_patches: Callable[[int], object],
         on_done: Callable[[int], object],
         on_stage: Callable[[str], object] = lambda _: None,
-    ) -> Outcome:
+    ) -> RunResult:
         data = (await body.read()).tobytes()
         self.began.append(data)
         self.orders.append(order)
@@ -87,7 +87,7 @@ class PlayedEngine:
             self.running -= 1
         spool = Spool(self.settings.spool_dir)
         await spool.write(b"dense " + data * 2)
-        return Outcome(spool, REPORT, {"queue": 0.0, "predict": 0.5}, [(0.5, 4)])
+        return RunResult(spool, REPORT, {"queue": 0.0, "predict": 0.5}, [(0.5, 4)])
 
     def _go_wrong(self, data: bytes) -> None:
         if data.startswith(b"malformed"):

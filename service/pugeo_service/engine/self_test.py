@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small request that every worker, and then the engine as a whole, does before any other."""
+"""A small request that every worker, and then the engine as a whole, runs before any other."""
 
 import io
 
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from pugeo_model import formats
 from pugeo_model.cloud import Cloud
-from pugeo_service.engine.messages import Order
+from pugeo_service.engine.messages import RunRequest
 
-__all__ = ["sample_body", "sample_order"]
+__all__ = ["self_test_body", "self_test_request"]
 
-# More than one patch, so that whatever joins patches is exercised too.
+# More than one patch, so that the code that joins patches runs too.
 _POINTS = 3000
 
 
-def sample_body() -> NDArray[np.uint8]:
+def self_test_body() -> NDArray[np.uint8]:
     """Return a sphere as a PLY file, uint8."""
     directions = np.random.default_rng(0).normal(size=(_POINTS, 3))
     sphere = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -25,15 +25,14 @@ def sample_body() -> NDArray[np.uint8]:
     return np.frombuffer(buffer.getvalue(), np.uint8)
 
 
-def sample_order(model: str, deadline_s: float) -> Order:
-    """Return the order to upsample it."""
-    return Order(
+def self_test_request(model: str, deadline_s: float) -> RunRequest:
+    """Return the request to upsample it."""
+    return RunRequest(
         model=model,
         format=None,
         answer="ply",
         options={"ratio": 2.0},
         max_points=_POINTS,
         max_output_points=2 * _POINTS,
-        batch_patches=1,
         deadline_s=deadline_s,
     )

@@ -6,13 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pugeo_model import formats, pipeline, weights
+from pugeo_model import formats, plan, weights
 from pugeo_model.cloud import Cloud
+from pugeo_model.local_stages import LocalStages
 from pugeo_model.options import Options
+from pugeo_model.pipeline import run_here, upsample_tile
+from pugeo_model.plan import make_plan
 from pugeo_service.engine import stages
-from pugeo_service.engine.answers import agree, assemble, border, write_tile
-from pugeo_service.engine.sample import sample_order
-from pugeo_service.engine.values import Finished, Prepared
+from pugeo_service.engine.output_stages import agree, assemble, border, write_tile
+from pugeo_service.engine.self_test import self_test_request
+from pugeo_service.engine.values import DenseTile, Prepared
 
 
 def sphere(scalars: dict[str, Any], count: int = 3000) -> Cloud:
@@ -23,19 +26,13 @@ def sphere(scalars: dict[str, Any], count: int = 3000) -> Cloud:
     return Cloud(points.astype(np.float32), colors=colors, scalars=scalars)
 
 
-def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[Finished]]:
-    """Take a cloud through all steps but the last, in some tiles."""
-    model = weights.load("standard")
-    plan = pipeline.make_plan(cloud, Options(ratio=2, **options), tile_size=1200)
-    found = []
-    for tile in plan.tiles:
-        job = pipeline.prepare(tile)
-        charts = [pipeline.predict(model, patch, job.candidates) for patch in job.patches]
-        landed = pipeline.land(model, pipeline.propose(job, charts))
-        points = pipeline.land(model, pipeline.merge(job, charts, landed))
-        found.append(Finished(pipeline.finish(job, points), {}, []))
-    assert len(found) > 2
-    return Prepared(plan, None, {}), found
+def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[DenseTile]]:
+    """Take a cloud through all stages but the last, in some tiles."""
+    stages_here = LocalStages(weights.load("standard"), lambda _stage, _share: None)
+    tiled = make_plan(cloud, Options(ratio=2, **options), tile_size=1200)
+    dense = [run_here(upsample_tile(stages_here, tile)) for tile in tiled.tiles]
+    assert len(dense) > 2
+    return Prepared(tiled, None, {}), [DenseTile(tile, {}, []) for tile in dense]
 
 
 @pytest.mark.parametrize("orient", ["mst", "outward"])
@@ -74,17 +71,18 @@ def test_what_is_written_tile_by_tile(
     expected: bool,
 ) -> None:
     """Clouds whose rows can follow each other as the tiles give them."""
-    cut = pipeline.make_plan
-    monkeypatch.setattr(pipeline, "survey", lambda cloud, options: cut(cloud, options, 3000))
+    cut = plan.make_plan
+    monkeypatch.setattr(plan, "make_plan", lambda cloud, options: cut(cloud, options, 3000))
     file = io.BytesIO()
     formats.write(sphere(scalars, 9000), file, format="npz")
     order = replace(
-        sample_order("standard", 60.0),
+        self_test_request("standard", 60.0),
         answer=answer,
         options={"ratio": 2.0, **options},
         max_points=9000,
         max_output_points=18_000,
     )
     prepared = stages.prepare(np.frombuffer(file.getvalue(), np.uint8), order)
-    assert len(prepared.plan.cuts) > 2
+    assert prepared.plan is not None
+    assert len(prepared.plan.tile_specs) > 2
     assert prepared.by_rows is expected

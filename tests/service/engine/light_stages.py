@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A preload for workers of tests: no model, and stages that misbehave on demand."""
+"""Stages and a preload for workers of tests: no model, and stages that misbehave on demand."""
 
 import os
 import time
 from pathlib import Path
 from typing import Any
 
-from pugeo_service.engine import stages
-from pugeo_service.engine import worker as preload
+from pugeo_service.engine import worker as worker_module
+from pugeo_service.engine.backend import quick
 
 
 def add(left: int, right: Any) -> int:
@@ -15,15 +15,21 @@ def add(left: int, right: Any) -> int:
     return left + (sum(right) if isinstance(right, list) else right)
 
 
+@quick
+def add_quickly(left: int, right: int) -> int:
+    """Add numbers beside a stage that computes."""
+    return left + right
+
+
 def refuse() -> None:
-    """Raise what a bad input raises."""
+    """Raise the error of a bad input."""
     from pugeo_model.errors import MalformedFileError
 
     raise MalformedFileError("cut short", code="truncated", expected=7)
 
 
 def nap(seconds: float, path: str, name: str) -> str:
-    """Sleep, and note when that began."""
+    """Sleep, and note the begin."""
     with Path(path).open("a") as file:
         file.write(f"{name}\n")
     time.sleep(seconds)
@@ -37,14 +43,10 @@ def die(seconds: float) -> None:
 
 
 def pid() -> int:
-    """Tell who works."""
+    """Return the number of the worker's process."""
     return os.getpid()
 
 
 def dask_setup(worker: object) -> None:
-    """Give the worker the stages above."""
-    preload.one_at_a_time(worker)
-    for stage in (add, refuse, nap, die, pid):
-        setattr(stages, stage.__name__, stage)
-    # In the place of a quick one.
-    stages.chunk = add  # type: ignore[assignment]
+    """Prepare the worker without loading the model."""
+    worker_module.one_at_a_time(worker)
