@@ -84,6 +84,7 @@ def upsample(
 ) -> None:
     """Write a cloud with R times as many points, each with a normal."""
     from pugeo_model.formats import FORMATS, read, write, written_as
+    from pugeo_model.kernel_cache import compile_kernels
     from pugeo_model.options import Options
     from pugeo_model.upsampler import Upsampler
 
@@ -94,6 +95,7 @@ def upsample(
     if kind not in FORMATS:
         raise typer.BadParameter(f"must be one of {', '.join(FORMATS)}", param_hint="--format")
     cloud = read(source)
+    compile_kernels(_console.print)
     upsampler = Upsampler(model)
     with _bar() as bar:
         task = bar.add_task("read", total=1)

@@ -6,10 +6,10 @@ from pugeo_service.engine.errors import DiskError, EngineLostError, WorkerLostEr
 from pugeo_service.engine.messages import BodyReader, RunRequest, RunResult
 
 __all__ = [
+    "BodyReader",
     "DiskError",
     "Engine",
     "EngineLostError",
-    "BodyReader",
     "RunRequest",
     "RunResult",
     "WorkerLostError",

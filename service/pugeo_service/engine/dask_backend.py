@@ -259,7 +259,10 @@ class DaskBackend:
             await self._connect()
 
     async def _look(self) -> None:
-        identity = await self._connected.scheduler.identity(n_workers=-1)
+        scheduler = self._connected.scheduler
+        if scheduler is None:
+            raise EngineLostError("the connection to the scheduler is closed")
+        identity = await scheduler.identity(n_workers=-1)
         workers = frozenset(
             worker["id"] if isinstance(worker["id"], str) else address
             for address, worker in identity["workers"].items()

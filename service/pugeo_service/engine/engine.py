@@ -11,6 +11,9 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import structlog
+
+from pugeo_model.kernel_cache import compile_kernels
 from pugeo_service.engine.backend import Backend
 from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.engine.errors import EngineLostError, WorkerLostError
@@ -29,6 +32,8 @@ from pugeo_service.settings import Settings
 __all__ = ["Engine", "Status"]
 
 T = TypeVar("T")
+
+_log = structlog.stdlib.get_logger("pugeo.engine")
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,9 @@ class Engine:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="engine", daemon=True)
         self._thread.start()
+        if self._settings.scheduler is None:
+            # Once here, and not once in each worker.
+            await asyncio.to_thread(compile_kernels, _log.info)
         await self._call(self._backend.start())
         await self._call(self._self_test())
         self._proven = True
@@ -108,7 +116,7 @@ class Engine:
             body: the request's bytes; they are read when the engine begins.
             request: to run.
             on_patches: called with the number of patches, in the caller's event loop.
-            on_done: called with the number of further patches that are done, in the caller's event loop.
+            on_done: called with the number of further patches done, in the caller's event loop.
             on_stage: called with the name of a stage that begins, in the caller's event loop.
 
         Raises:
