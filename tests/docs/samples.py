@@ -45,16 +45,16 @@ def scans(target: Path) -> None:
     shutil.copy("examples/knot.ply", target / "b.ply")
 
 
-def _torus() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _torus() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """A closed mesh with a longest side of 1."""
     around, across = np.meshgrid(np.arange(48), np.arange(24), indexing="ij")
     u, v = 2 * np.pi * around.ravel() / 48, 2 * np.pi * across.ravel() / 24
     ring = 3 + np.cos(v)
     vertices = np.stack([np.cos(u) * ring, np.sin(u) * ring, np.sin(v)], axis=1) / 8
 
-    def row(i: int, j: int) -> NDArray[np.int32]:
-        rows: NDArray[np.int32] = ((around + i) % 48 * 24 + (across + j) % 24).ravel()
-        return rows.astype(np.int32)
+    def row(i: int, j: int) -> NDArray[np.int64]:
+        rows: NDArray[np.int64] = ((around + i) % 48 * 24 + (across + j) % 24).ravel()
+        return rows
 
     first = np.stack([row(0, 0), row(1, 0), row(1, 1)], axis=1)
     second = np.stack([row(0, 0), row(1, 1), row(0, 1)], axis=1)

@@ -9,7 +9,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-
 from tests.docs.snippets import pages
 
 ROOT = Path(__file__).resolve().parents[2]

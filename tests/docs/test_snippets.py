@@ -12,16 +12,16 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-
-from tests.docs.conftest import Serve
 from tests.docs.samples import FILES
 from tests.docs.snippets import RUN, SHOWN, Snippet, pages, snippets
 
+Serve = Callable[..., str]
 ROOT = Path(__file__).resolve().parents[2]
 RUNNABLE = [page for page in pages(ROOT) if any(s.language in RUN for s in snippets(page, ROOT))]
 # Installs and containers are too much for a test: what they name is looked up instead.
@@ -148,7 +148,7 @@ def matches(found: Any, shown: Any, place: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: str(page.relative_to(ROOT)))
 def test_snippets_run(
     page: Path, service: str, serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
