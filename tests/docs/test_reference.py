@@ -75,22 +75,18 @@ def test_each_term_has_one_meaning() -> None:
 
 
 def test_settings() -> None:
-    """Each setting is listed with its default, and with a dash where `serve` has no option."""
-    listed: dict[str, tuple[str, bool]] = {}
-    for row in rows(page("settings.md")):
-        for name in re.findall(r"`PUGEO_(\w+)`", row[0]):
-            listed[name.lower()] = (row[1], row[0].endswith("–"))
-    settings = set(Settings.model_fields)
-    assert set(listed) - {"url", "api_key"} == settings
+    """Each setting is listed with the option that `pugeo serve` has for it, and its default."""
+    listed = {row[0].strip("`"): row[1:] for row in rows(page("settings.md")) if len(row) == 4}
+    listed.pop("variable")
     options = inspect.signature(serve).parameters
+    assert set(listed) == {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
     for name, field in Settings.model_fields.items():
-        default, dash = listed[name]
-        assert dash == (name not in options), name
-        if default.startswith("`") and isinstance(field.default, (str, int, float)):
-            shown = type(field.default)(default.strip("`"))
-            assert shown == field.default, name
-        elif field.default in (None, ()):
-            assert not default.startswith("`") or name == "jobs_dir", name
+        option, default, _ = listed[f"PUGEO_{name.upper()}"]
+        assert option == (f"`--{name.replace('_', '-')}`" if name in options else ""), name
+        if default.startswith("`") and name != "jobs_dir":
+            assert type(field.default)(default.strip("`")) == field.default, name
+        elif default == "":
+            assert field.default in (None, ()), name
 
 
 def test_options() -> None:
