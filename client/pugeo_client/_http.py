@@ -80,7 +80,7 @@ def to_package_error(error: Exception, url: str) -> PugeoError:
             "the address of one in base_url= or PUGEO_URL"
         )
     if isinstance(error, httpx.ProxyError):
-        return ConnectionFailedError(f"the proxy gives no way to {shown} ({reason})")
+        return ConnectionFailedError(f"the proxy does not connect to {shown} ({reason})")
     return ConnectionFailedError(f"no complete answer from {shown} ({reason})")
 
 

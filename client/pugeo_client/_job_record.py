@@ -53,7 +53,7 @@ class JobRecord:
 
     @property
     def finished(self) -> bool:
-        """Whether its state is one of the last four."""
+        """True if its state is one of the last four."""
         return self.state in _FINAL
 
     @property

@@ -70,7 +70,7 @@ class Request:
 
     @property
     def sendable(self) -> bool:
-        """Whether the whole body can be sent (again): false once a pipe was read."""
+        """True while the whole body can be sent (again); false once a pipe was read."""
         return self.body is None or self.body.sendable
 
 

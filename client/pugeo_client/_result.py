@@ -163,9 +163,15 @@ class Result:
     def _copy(self, file: BinaryIO) -> None:
         if self.data is not None:
             file.write(self.data)
-        elif self.path is not None:
-            with self.path.open("rb") as source:
+        else:
+            with self._file().open("rb") as source:
                 shutil.copyfileobj(source, file)
+
+    def _file(self) -> Path:
+        """Return `path`, if the answer can be read back from there."""
+        if self.path is None or not self.path.is_file():
+            raise PugeoError(f"the answer cannot be read back: {self.path} is no file")
+        return self.path
 
     def _writer(self, suffix: str) -> Callable[[BinaryIO], None]:
         arrays = self._arrays  # read before the target is opened: it may be the same file
@@ -173,11 +179,11 @@ class Result:
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
-        data = self.data if self.path is None else self.path.read_bytes()
-        if data is None or self.format not in _READERS:
+        if self.format not in _READERS:
             raise InvalidResponseError(
                 f"arrays are read from ply, npz and npy, not from {self.format}"
             )
+        data = self._file().read_bytes() if self.data is None else self.data
         arrays = _READERS[self.format](data)
         points = arrays["points"]
         if points is None or points.ndim != 2 or points.shape[1] != len(_COORDINATES):

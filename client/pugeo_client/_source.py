@@ -75,7 +75,7 @@ class Body:
 
     @property
     def sendable(self) -> bool:
-        """Whether `chunks` gives the whole content (again): false for a pipe that was read."""
+        """True while `chunks` yields the whole content (again); false once a pipe was read."""
         return self._replayable or not self._begun
 
     def chunks(self, count: Callable[[bytes], None]) -> Iterator[bytes]:

@@ -59,9 +59,20 @@ def test_a_symbolic_link_stays(tmp_path: Path) -> None:
 
 
 def test_devices_are_not_replaced() -> None:
-    """What is written to a device is copied into it."""
-    write(Path(os.devnull))
-    assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
+    """Content for a device is copied into it.
+
+    The device is a terminal of its own: its file system holds no regular files, so that a fault
+    in the code under test cannot replace a device that other programs need.
+    """
+    master, terminal = os.openpty()
+    try:
+        path = Path(os.ttyname(terminal))
+        write(path, b"new")
+        assert os.read(master, 100) == b"new"
+        assert stat.S_ISCHR(path.stat().st_mode)
+    finally:
+        os.close(master)
+        os.close(terminal)
 
 
 def test_pipes_are_not_replaced(tmp_path: Path) -> None:

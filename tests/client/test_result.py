@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import io
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pugeo_client import Meta, Result
+from pugeo_client import Meta, PugeoError, Result
 from pugeo_client.errors import InvalidResponseError, SourceError
 
 
@@ -127,3 +128,14 @@ def test_text_is_saved_under_its_own_extension(tmp_path: Path) -> None:
     assert result.save(tmp_path / "dense.ply").read_bytes() == b"ply\n"
     with pytest.raises(InvalidResponseError):
         result.save(tmp_path / "dense.npz")
+
+
+def test_an_answer_that_went_to_a_device(tmp_path: Path) -> None:
+    """Reading it back is an error, and does not wait for bytes that never come."""
+    os.mkfifo(tmp_path / "pipe.ply")
+    for path in (tmp_path / "pipe.ply", tmp_path / "deleted.ply"):
+        gone = Result(Meta(), format="ply", path=path)
+        for use in (lambda gone=gone: gone.points, lambda gone=gone: gone.save(tmp_path / "a.ply")):
+            with pytest.raises(PugeoError, match="read back"):
+                use()
+        assert gone._repr_html_().startswith("&lt;Result")

@@ -26,7 +26,7 @@ EXAMPLE = "examples/block.ply"
 
 
 class Server(Protocol):
-    """What the fixture `server` gives."""
+    """Value of the fixture `server`."""
 
     url: str
 
