@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From dense tiles to one dense cloud: tiles agree on signs and borders, then are joined."""
+"""Assembly of dense tiles into one dense cloud, with consistent signs and without seams."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +20,13 @@ __all__ = ["Agreement", "Result", "agree", "apply_agreement", "assemble"]
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """The decisions of all tiles together that concern one of them.
+    """Corrections of one tile that follow from all tiles together.
 
     Attributes:
-        signs: of its connected parts, ``None`` where the signs of its normals are final.
-        points: ``(k, 3)`` float64, places of its border points, unit scale; ``None`` where they
-            stay.
+        signs: ``(parts,)`` -1 or 1, factors of the normals of its connected parts; ``None`` if
+            the signs of its normals are final.
+        points: ``(k, 3)`` float64, new positions of its border points, unit scale; ``None`` if
+            it has no border points.
     """
 
     signs: NDArray[np.float64] | None
@@ -34,33 +35,38 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The dense cloud and the report on its making (JSON-able)."""
+    """Output of an upsampling run.
+
+    Attributes:
+        cloud: the dense cloud, in the input's own frame and units.
+        report: counts, noise level, orientation method and notes, JSON-able.
+    """
 
     cloud: Cloud
     report: dict[str, Any]
 
 
 def agree(borders: Sequence[Border]) -> list[Agreement]:
-    """Orient all tiles together, and separate border points that are too close to each other.
+    """Orient all tiles consistently and separate border points that are too close.
 
     Args:
-        borders: of all tiles, in order.
+        borders: the borders of all tiles, in order.
     """
-    signs = [border.signs for border in borders if border.signs is not None]
-    agreed = signs_across_tiles(signs) if signs else [None] * len(borders)
-    # A piece of the cloud that stands apart may be a tile of its own, without border points.
-    moved = iter(separate([border.points for border in borders if border.points is not None]))
-    places = [None if border.points is None else next(moved) for border in borders]
-    return [Agreement(*both) for both in zip(agreed, places, strict=True)]
+    tile_signs = [border.signs for border in borders if border.signs is not None]
+    signs = signs_across_tiles(tile_signs) if tile_signs else [None] * len(borders)
+    # A tile that is far from all others has no border points.
+    separated = iter(separate([border.points for border in borders if border.points is not None]))
+    points = [None if border.points is None else next(separated) for border in borders]
+    return [Agreement(*both) for both in zip(signs, points, strict=True)]
 
 
 def apply_agreement(tile: UpsampledTile, agreement: Agreement) -> Cloud:
-    """The final points and normals of a tile, in the cloud's own frame and units."""
+    """Apply the corrections of a tile; returns its cloud in the input's own frame and units."""
     cloud, border = tile.cloud, tile.border.points
     if border is not None and agreement.points is not None:
-        moves = border.radius > 0.0
+        movable = border.radius > 0.0
         points = cloud.points.copy()
-        points[border.rows[moves]] = tile.normalisation.world(agreement.points[moves])
+        points[border.rows[movable]] = tile.normalisation.world(agreement.points[movable])
         cloud = replace(cloud, points=points)
     if agreement.signs is not None:
         assert cloud.normals is not None
@@ -70,7 +76,7 @@ def apply_agreement(tile: UpsampledTile, agreement: Agreement) -> Cloud:
 
 
 def assemble(plan: Plan, tiles: Sequence[UpsampledTile]) -> Result:
-    """Join all tiles, in order, to one cloud."""
+    """Join all tiles, in order, into one cloud."""
     agreements = agree([tile.border for tile in tiles])
     clouds = [apply_agreement(*both) for both in zip(tiles, agreements, strict=True)]
     dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
@@ -80,11 +86,11 @@ def assemble(plan: Plan, tiles: Sequence[UpsampledTile]) -> Result:
 
 
 def _input_first(specs: Sequence[TileSpec]) -> NDArray[np.int64]:
-    """Rows of the joined tiles: the input's points in their order, then the new points."""
+    """Rows of the joined tiles: the input points in the input's order, then the new points."""
     starts = np.cumsum([0] + [spec.n_out for spec in specs])
-    own, new = [], []
+    inputs, new = [], []
     for start, spec in zip(starts, specs, strict=False):
-        own.append(start + np.arange(spec.core))
+        inputs.append(start + np.arange(spec.core))
         new.append(start + np.arange(spec.core, spec.n_out))
-    back = np.argsort(np.concatenate([spec.rows[: spec.core] for spec in specs]))
-    return np.concatenate([np.concatenate(own)[back], *new])
+    input_order = np.argsort(np.concatenate([spec.rows[: spec.core] for spec in specs]))
+    return np.concatenate([np.concatenate(inputs)[input_order], *new])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours, continuous quantities and labels for new points."""
+"""Interpolation of colours, continuous scalars and labels at new points."""
 
 from typing import Any
 
@@ -8,31 +8,27 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.tuning import TUNING
 
-__all__ = ["NEIGHBOURS", "transfer_attributes"]
-
-NEIGHBOURS = 3
-"""Source points that a colour or a continuous quantity is neighbour_mean over."""
+__all__ = ["transfer_attributes"]
 
 _BLOCK_ROWS = 65_536
 
 
 def transfer_attributes(
-    source: Cloud, targets: NDArray[np.float64], nearest: NDArray[np.integer[Any]] | None = None
+    source: Cloud, targets: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8] | None, dict[str, NDArray[Any]]]:
-    """Give new points what the source points transfer_attributes.
+    """Interpolate the colours and scalars of a cloud at other points.
 
-    Colours and floating point scalars are the mean over the three nearest source points,
-    weighted by inverse distance; a target on a source point takes that one's value. Values that
-    are not finite are left out of the mean, and stay only where the nearest ones have no other.
-    Integer and boolean scalars are labels: a mean of two classes would be a third, so they are
-    those of the nearest point.
+    Colours and floating-point scalars are the mean over the three nearest source points,
+    weighted by inverse distance (Shepard 1968); a target on a source point gets the value of
+    that point. Values that are not finite are excluded from the mean; if all three are not
+    finite, the nearest one is taken. Integer and boolean scalars are labels and are copied from
+    the nearest point, since a mean of two classes would be a third.
 
     Args:
         source: ``M`` points (at least one, all finite) with colours and scalars.
-        targets: ``(K, 3)`` float64, in the source's frame.
-        nearest: ``(K, k)`` rows of the source nearest to each target, nearest first, where they
-            are known already. Found with a k-d tree where ``None``.
+        targets: ``(K, 3)`` float64, in the frame of the source.
 
     Returns:
         ``(K, 3|4)`` uint8 colours or ``None``, and scalars ``(K,)`` of the source's dtypes.
@@ -43,17 +39,12 @@ def transfer_attributes(
     colors = None if source.colors is None else np.empty((count, source.colors.shape[1]), np.uint8)
     scalars = {name: np.empty(count, values.dtype) for name, values in source.scalars.items()}
     points = source.points.astype(np.float64, copy=False)
-    wanted = min(NEIGHBOURS, len(points))
-    # A list of ranks keeps the result two-dimensional where a single neighbour is wanted.
-    ranks = np.arange(1, wanted + 1)
-    tree = cKDTree(points if nearest is None else points[:0])
+    # A list of ranks keeps the result two-dimensional, also for one neighbour.
+    ranks = np.arange(1, min(TUNING.attribute_neighbours, len(points)) + 1)
+    tree = cKDTree(points)
     for start in range(0, count, _BLOCK_ROWS):
         part = slice(start, start + _BLOCK_ROWS)
-        rows: NDArray[Any]
-        if nearest is not None:
-            rows = nearest[part, :wanted]
-        else:
-            rows = np.asarray(tree.query(targets[part], k=ranks)[1])
+        rows: NDArray[Any] = np.asarray(tree.query(targets[part], k=ranks)[1])
         weights = _weights(points, targets[part], rows)
         if colors is not None and source.colors is not None:
             mean = np.einsum("kn,knc->kc", weights, source.colors[rows])
@@ -69,21 +60,20 @@ def transfer_attributes(
 def _weights(
     points: NDArray[np.float64], targets: NDArray[np.float64], rows: NDArray[Any]
 ) -> NDArray[np.float64]:
-    """Inverse distances ``(K, k)``, relative to the nearest, which has weight 1."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        distances = np.linalg.norm(points[rows] - targets[:, None, :], axis=2)
-        least = distances.min(axis=1, keepdims=True)
-        weights = np.where(distances == least, 1.0, least / distances)
-    # Distances beyond float64 (coordinates near 1e200) cannot be compared.
-    return np.nan_to_num(weights, nan=0.0)
+    """Inverse-distance weights ``(K, k)``; the nearest point has weight 1."""
+    distances = np.linalg.norm(points[rows] - targets[:, None, :], axis=2)
+    least = distances.min(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # 0 / 0 for a target on a source point
+        return np.where(distances == least, 1.0, least / distances)
 
 
 def _mean(values: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weighted means of the finite values ``(K, k)``; the first value if none is finite."""
     finite = np.isfinite(values)
     used = np.where(finite, weights, 0.0)
     total = used.sum(axis=1)
     known = total > 0.0
-    # Shares first, and clipped: a sum of values near the largest float would overflow.
+    # Weights are normalised first and the mean is clipped, since sums of huge values overflow.
     shares = used / np.where(known, total, 1.0)[:, None]
     with np.errstate(over="ignore"):
         mean = (shares * np.where(finite, values, 0.0)).sum(axis=1)

@@ -15,35 +15,35 @@ __all__ = ["denoised_tile", "input_is_exact", "needs_denoising"]
 
 
 def needs_denoising(prepared: PreparedTile) -> bool:
-    """Whether the input is noisy, may be moved, and was not moved yet."""
+    """Return whether the input is noisy, may be moved, and was not moved yet."""
     tile = prepared.tile
-    return prepared.noise > TUNING.noisy and not tile.keeps_input and tile.noisy is None
+    return prepared.noise > TUNING.noise_threshold and not tile.keeps_input and tile.noisy is None
 
 
 def input_is_exact(prepared: PreparedTile, projected: NDArray[np.float64]) -> bool:
-    """Whether the input lies on the surface: projection hardly moves half of its points.
+    """Return whether the input lies on the surface: projection hardly moves half of its points.
 
     Args:
         prepared: the tile.
-        projected: ``(charted, 3)`` float64, its charted points on their charts, unit scale.
+        projected: ``(charted, 3)`` float64, its charted points after projection, unit scale.
     """
     count = len(projected)
     moved = np.linalg.norm(projected - prepared.charted_points, axis=1)
-    return bool(np.median(moved / prepared.frames.spacing[:count]) < TUNING.exact_move)
+    return bool(np.median(moved / prepared.frames.spacing[:count]) < TUNING.exact_input_move)
 
 
 def denoised_tile(prepared: PreparedTile, projected: Projected) -> Tile | None:
-    """The tile with its points where they were projected, to be prepared again.
+    """Replace the points of a noisy tile by their projections; the result is prepared again.
 
-    Neighbours, frames and quadrics of points near the surface say more than those of noisy ones.
+    Frames and quadrics that are fitted to denoised points are more accurate.
 
     Args:
         prepared: the noisy tile; all its points have charts.
         projected: its points on their charts.
 
     Returns:
-        The tile, or ``None`` where the points hardly moved: that is detail and not noise, and the
-        charts hold as they are.
+        The tile, or ``None`` if the points hardly moved: the residuals are then detail, not
+        noise, and the charts stay valid.
     """
     if input_is_exact(prepared, projected.points):
         return None

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be wrong with an input.
+"""Errors of bad input: files, points and options.
 
 CloudError
-|- MalformedFileError        the bytes are not what they claim to be
+|- MalformedFileError        bytes that break the rules of their format
 |- UnsupportedFormatError    no reader or writer of that name or content
 |- LimitExceededError        larger than the stated limit
-|- UntreatableCloudError     a valid file whose points the method cannot treat
+|- UntreatableCloudError     a valid file with points that span no surface
 `- BadOptionError            an option out of its range
 """
 
@@ -22,11 +22,11 @@ __all__ = [
 
 
 class CloudError(ValueError):
-    """An input that cannot be used, with words for a person and fields for a program.
+    """Base class of all errors of bad input.
 
     Args:
-        message: one or two sentences: what is wrong, where, and what would be right.
-        code: a stable slug such as ``"truncated"``; the class's own name by default.
+        message: one or two sentences: the fault, its place, and a valid alternative.
+        code: a stable slug such as ``"truncated"``; by default that of the class.
         fields: values behind the message (``limit=1000, value=4000000000``), JSON-able.
     """
 
@@ -39,7 +39,7 @@ class CloudError(ValueError):
         self.fields = fields
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors cross process borders; keyword arguments do not survive pickle's default way.
+        # Errors are pickled between processes; the default would lose the keyword arguments.
         return _rebuild, (type(self), self.message, self.code, self.fields)
 
 
@@ -56,7 +56,7 @@ class UnsupportedFormatError(CloudError):
 
 
 class LimitExceededError(CloudError):
-    """Larger than a stated limit; ``fields`` name it, its bound and the value met."""
+    """Input larger than a stated limit; ``fields`` hold its name, the limit and the value."""
 
     code = "limit_exceeded"
 
@@ -68,7 +68,7 @@ class UntreatableCloudError(CloudError):
 
 
 class BadOptionError(CloudError):
-    """An option outside its range; ``fields`` name it."""
+    """An option outside its range; ``fields`` hold its name and value."""
 
     code = "bad_option"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last step of a tile: signs of normals, attributes, and the cloud's own frame and units."""
+"""Last stage of a tile: signs of normals, attributes, and the cloud's own frame and units."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +12,7 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.normalise import Normalisation
 from pugeo_model.orient.across_tiles import TileSigns
 from pugeo_model.orient.dense import orient_dense
-from pugeo_model.orient.methods import orient, transfer_signs
+from pugeo_model.orient.signs import orient_along, orient_by_input, transfer_signs
 from pugeo_model.prepare import PreparedTile
 from pugeo_model.resample.atlas import Projected
 from pugeo_model.resample.elimination import packing_radius
@@ -22,17 +22,15 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["Border", "UpsampledTile", "finish"]
 
-_NO_NEIGHBOURS = np.empty((0, 0), dtype=np.int32)
-
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Everything that other tiles need to know of a tile: little, so that only it travels.
+    """Data of a tile that `agree` needs; small, since it is sent between processes.
 
     Attributes:
-        signs: signs of its normals up to a sign of each connected part, ``None`` where they are
-            final.
-        points: its points next to other tiles, ``None`` of a cloud in one piece.
+        signs: normals of the tile, consistent within each connected part; ``None`` if their
+            signs are final.
+        points: its points next to other tiles; ``None`` if the tile has no margin.
     """
 
     signs: TileSigns | None
@@ -44,12 +42,12 @@ class UpsampledTile:
     """The dense points of a tile's core.
 
     Attributes:
-        cloud: in the cloud's own frame and units.
-        parts: ``(K,)`` connected part of the tile of each point; ``None`` where the signs of the
-            normals are final.
-        border: everything that other tiles need to know of it.
+        cloud: the points, in the input's own frame and units.
+        parts: ``(K,)`` connected part of each point; ``None`` if the signs of the normals are
+            final.
+        border: data for `agree`.
         noise: of its input, in spacings, see `noise_level`.
-        normalisation: of the whole cloud.
+        normalisation: map between the cloud's own frame and the unit frame.
     """
 
     cloud: Cloud
@@ -60,7 +58,7 @@ class UpsampledTile:
 
 
 def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
-    """Orient normals, transfer colours and scalars, put offset and scale back.
+    """Orient normals, interpolate colours and scalars, restore offset and scale.
 
     Args:
         prepared: the tile.
@@ -68,11 +66,11 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     """
     tile = prepared.tile
     if tile.keeps_input:
-        # The input's points lead, in the order of the patches: put them into their own.
-        own = np.argsort(prepared.order[prepared.core])
-        projected = projected.take(np.append(own, np.arange(tile.core, tile.n_out)))
+        # The input points lead, in the order of the patches; restore the order of the tile.
+        tile_order = np.argsort(prepared.order[prepared.core])
+        projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
     elif tile.noisy is not None:
-        projected = replace(projected, points=_evened(prepared, projected))
+        projected = replace(projected, points=_spread_evenly(prepared, projected))
     normals, signs, parts = _oriented(prepared, projected)
     source = Cloud(prepared.points, colors=prepared.cloud.colors, scalars=prepared.cloud.scalars)
     colors, scalars = transfer_attributes(source, projected.points)
@@ -83,8 +81,8 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     return UpsampledTile(dense, parts, border, prepared.noise, tile.normalisation)
 
 
-def _evened(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:
-    """Charts of a noisy input disagree, so that the projection of survivors unsettles them."""
+def _spread_evenly(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:
+    """Restore the even spacing: projection onto charts of a noisy input disturbs it."""
     return spread_evenly(
         projected.points,
         projected.normals,
@@ -98,7 +96,7 @@ def _evened(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]
 def _oriented(
     prepared: PreparedTile, projected: Projected
 ) -> tuple[NDArray[np.float32], TileSigns | None, NDArray[np.integer[Any]] | None]:
-    """Normals ``(K, 3)``; where other tiles have a say, the tile's signs and connected parts."""
+    """Normals ``(K, 3)``; for ``mst`` also the signs and the connected parts ``(K,)``."""
     tile, axes = prepared.tile, prepared.frames.axes[:, 2]
     graph = prepared.neighbours[:, : TUNING.orientation_neighbours]
     if tile.orient == "mst":
@@ -112,30 +110,29 @@ def _oriented(
             (projected.points, projected.normals, projected.nearest),
         )
         normals = projected.normals * signs[:, None].astype(np.float32)
-        # Parts are few and points many: the smallest integer type saves memory.
+        # The smallest integer dtype saves memory: parts are few, points are many.
         return normals, tile_signs, parts.astype(np.min_scalar_type(parts.max()))
     if tile.orient == "input":
-        own, _ = orient(prepared.points, axes, "input", None, prepared.cloud.normals, graph)
-        return transfer_signs(projected.normals, projected.nearest, own), None, None
-    viewpoint = tile.viewpoint and tile.normalisation.unit(tile.viewpoint)
-    normals, _ = orient(
-        projected.points,
-        projected.normals,
-        tile.orient,
-        viewpoint,
-        None,
-        _NO_NEIGHBOURS,
-        tile.centroid,
-    )
+        assert prepared.cloud.normals is not None
+        oriented = orient_by_input(axes, prepared.cloud.normals, graph)
+        return transfer_signs(projected.normals, projected.nearest, oriented), None, None
+    if tile.orient == "viewpoint":
+        assert tile.viewpoint is not None
+        viewpoint = np.asarray(tile.normalisation.unit(tile.viewpoint), np.float64)
+        normals = orient_along(projected.normals, viewpoint - projected.points)
+    elif tile.orient == "outward":
+        normals = orient_along(projected.normals, projected.points - tile.centroid)
+    else:
+        normals = projected.normals
     return normals, None, None
 
 
 def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints:
-    """Points of charts that are next to charts of other tiles."""
+    """Output points whose nearest input point has a neighbour in another tile."""
     tile = prepared.tile
     near_core = prepared.core[prepared.neighbours]
-    surrounded = prepared.core & near_core.all(axis=1)
-    rows = np.flatnonzero(~surrounded[projected.nearest])
+    interior = prepared.core & near_core.all(axis=1)
+    rows = np.flatnonzero(~interior[projected.nearest])
     owner = projected.nearest[rows]
     radius = packing_radius(prepared.area * (tile.core / tile.n_out))[owner]
     if tile.keeps_input:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled kernels on disk: a folder that can be written, and one compilation for all workers.
+"""Cache of compiled kernels: a writable folder, and one compilation for all workers.
 
-numba stores what it compiles beside each module or, where that folder is read-only, in the user's
-cache folder. `use_writable_folder` gives it a third place. numba compares only the module that a
-kernel stands in with its stored copy, and not the constants of `tuning` that are compiled into it:
-`use_writable_folder` deletes stored kernels that were compiled with others. This module imports
-neither numba nor torch.
+numba stores compiled kernels beside each module or, if that folder is read-only, in the user's
+cache folder. `use_writable_folder` adds a third place. numba compiles a kernel again if its own
+module changed, but not if the constants of `tuning` did, so `use_writable_folder` deletes kernels
+that were compiled with other constants. This module imports neither numba nor torch.
 """
 
 import hashlib
@@ -27,10 +26,9 @@ _COMPILE = "from pugeo_model.kernel_cache import _compile_here; _compile_here()"
 
 
 def use_writable_folder() -> None:
-    """Let numba store kernels in a folder that can be written, and drop outdated kernels.
+    """Let numba store kernels in a writable folder, and delete outdated kernels.
 
-    Must be called before numba is imported. A folder in ``NUMBA_CACHE_DIR`` is taken if it can be
-    written.
+    Must be called before numba is imported. A writable folder in ``NUMBA_CACHE_DIR`` is used.
     """
     chosen = os.environ.get(_FOLDER_VARIABLE)
     if chosen and _is_writable(Path(chosen)):
@@ -42,18 +40,18 @@ def use_writable_folder() -> None:
 
 
 def compiled() -> bool:
-    """Whether all kernels of this version were compiled for this machine."""
+    """Return whether all kernels of this version were compiled for this machine."""
     return _marker().exists()
 
 
 def compile_kernels(announce: Callable[[str], object]) -> None:
-    """Compile all kernels in a process of its own, unless that was done.
+    """Compile all kernels in a separate process, unless they are compiled.
 
     Args:
-        announce: called with a sentence before and after, if there is work to do.
+        announce: called with a message before and after the compilation.
 
     Raises:
-        RuntimeError: the process failed; the message has the end of its output.
+        RuntimeError: the process failed; the message ends with its last output.
     """
     if compiled():
         return
@@ -95,13 +93,14 @@ def _marker() -> Path:
 
 
 def _folder() -> Path:
-    """Folder of the marker: where the kernels are, or beside them."""
+    """Folder of the marker: that of the kernels or next to it."""
     if folder := os.environ.get(_FOLDER_VARIABLE):
         return Path(folder)
     return _PACKAGE / "__pycache__" if _is_writable(_PACKAGE) else _user_folder() / "pugeo"
 
 
 def _user_folder() -> Path:
+    """Cache folder of the user, which may not exist."""
     try:
         home = Path.home()
     except RuntimeError:  # no HOME, and no entry for this user
@@ -110,28 +109,28 @@ def _user_folder() -> Path:
 
 
 def _temporary_folder() -> Path:
-    """A folder of this user alone: others must not put code into it."""
+    """A temporary folder that only this user can write, since its content is executed."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
     folder = Path(tempfile.gettempdir()) / f"pugeo-kernels-{user}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        mine = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+        owned = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
     except OSError:
-        mine = False
-    if mine and not folder.is_symlink():
+        owned = False
+    if owned and not folder.is_symlink():
         return folder
     return Path(tempfile.mkdtemp(prefix="pugeo-kernels-"))
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be made in a folder, or the folder itself can be made."""
+    """Return whether files can be created in a folder, or the folder itself can be created."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return os.access(folder, os.W_OK)
 
 
 def _processor() -> str:
-    """Name of the processor: kernels use its instructions."""
+    """Name and instruction sets of the processor, which kernels depend on."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -141,7 +140,7 @@ def _processor() -> str:
 
 
 def _drop_outdated() -> None:
-    """Delete kernels beside the modules that were compiled with other constants."""
+    """Delete kernels in the package that were compiled with other constants."""
     digest = hashlib.sha256((_PACKAGE / "tuning.py").read_bytes()).hexdigest()
     stamp = _PACKAGE / "__pycache__" / "tuning.sha256"
     if stamp.exists() and stamp.read_text("utf-8") == digest:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Freed memory is kept for the next layer, and given back when a cloud is done.
+"""Memory settings of the process: glibc's allocator and oneDNN's cache.
 
-By default glibc hands every large block back to the kernel and fetches it anew, zeroed page by
-page: a third of the time of the network and of a training step. Kept for long, though, blocks of
-all sizes between what lives on add up to gigabytes. So do the products that torch has compiled, one
-for every number of rows: by default it keeps 2 x 1024 of them, 0.3 MB each.
+By default glibc returns every large block to the kernel and gets it back zeroed page by page: a
+third of the time of the network and of a training step. Freed blocks are therefore kept during a
+cloud and returned after it, since fragmentation would otherwise add up to gigabytes. oneDNN keeps
+one compiled matrix product for each number of rows, by default 2 x 1024 of 0.3 MB each; a bound
+keeps this small.
 """
 
 import ctypes
@@ -13,32 +14,32 @@ import os
 import sys
 from typing import Any
 
-__all__ = ["give_back_freed_memory", "keep_freed_memory"]
+__all__ = ["bound_compiled_products", "give_back_freed_memory", "keep_freed_memory"]
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
-_KEPT = 1 << 26  # bytes at the end of the heap that stay with the process: no layer needs more
-_LARGEST = 1 << 30
+_KEPT_BYTES = 1 << 26  # free bytes kept at the end of the heap: no layer needs more
+_LARGEST_BLOCK = 1 << 30  # bytes; larger blocks are mapped separately
 
-_COMPILED = "512"  # several times what one large cloud needs
-_CACHES = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "LRU_CACHE_CAPACITY")  # of oneDNN, of torch's use
+_COMPILED = "512"  # compiled products kept: several times the number that one large cloud needs
+_CACHES = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "LRU_CACHE_CAPACITY")  # oneDNN's own, and torch's
 
 
 def bound_compiled_products() -> None:
-    """Let torch keep fewer compiled products; does nothing once the first was made."""
+    """Limit the compiled products that torch keeps; no effect after the first product."""
     for name in _CACHES:
         os.environ.setdefault(name, _COMPILED)
 
 
 @functools.cache
 def keep_freed_memory() -> None:
-    """Let the process keep up to 64 MiB that it has freed; does nothing without glibc."""
+    """Let the process keep up to 64 MiB of freed memory; does nothing without glibc."""
     if (libc := _glibc()) is not None:
-        libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST)
-        libc.mallopt(_M_TRIM_THRESHOLD, _KEPT)
+        libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK)
+        libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def give_back_freed_memory() -> None:
-    """Hand every free page back to the kernel: some 30 ms; does nothing without glibc."""
+    """Return all free pages to the kernel (about 30 ms); does nothing without glibc."""
     if (libc := _glibc()) is not None:
         libc.malloc_trim(0)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a run: the cleaned, normalised cloud and the tiles that it is cut into."""
+"""The plan of a run: the cleaned and normalised cloud, and its division into tiles."""
 
 import math
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.normalise import Normalisation, normalise
-from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.options import LARGEST_RATIO, Options, refuse
 from pugeo_model.orient.methods import resolve_method
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
@@ -22,18 +22,19 @@ __all__ = ["Plan", "make_plan"]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A cloud that is known to be usable, and its tiles.
+    """A validated cloud and its tiles.
 
     Attributes:
         cloud: the cleaned input.
         points: ``(M, 3)`` float64, unit scale.
-        normalisation: offset and scale taken out.
-        centroid: ``(3,)``, unit scale.
+        normalisation: map between the cloud's own frame and the unit frame.
+        centroid: ``(3,)`` float64, unit scale.
         tile_specs: rows and sizes of the tiles, see :mod:`pugeo_model.tiles`.
-        noise, spacing: of the whole cloud, ``None`` where its only tile measures them.
-        options: as asked for.
+        noise: of the whole cloud, in spacings; ``None`` if the only tile measures it itself.
+        spacing: median spacing of the whole cloud, unit scale; ``None`` likewise.
+        options: options of the caller.
         orient: the method that gives normals their signs, never ``auto``.
-        n_out: points of the answer.
+        n_out: number of output points.
         report: counts and notes so far, JSON-able.
     """
 
@@ -51,25 +52,29 @@ class Plan:
 
     @property
     def keeps_input(self) -> bool:
-        """Whether the answer begins with the input points."""
+        """True if the output begins with the input points."""
         return self.options.keeps_points(len(self.points))
 
     @property
     def tiles_in_order(self) -> bool:
-        """Whether the answer is the tiles' points one after the other."""
+        """True if the output is the points of the tiles, one after the other."""
         return len(self.tile_specs) == 1 or not self.keeps_input
 
     def final_report(self, noise: float) -> dict[str, Any]:
-        """The report, with ``noise`` where a single tile measured it."""
+        """Complete the report with the noise level.
+
+        Args:
+            noise: measured by the first tile, used if the plan has none; in spacings.
+        """
         return {**self.report, "noise": noise if self.noise is None else self.noise}
 
     @property
     def tiles(self) -> Iterator[Tile]:
-        """The tiles, each made when its turn comes."""
+        """The tiles, created one at a time during iteration."""
         return map(self.tile, range(len(self.tile_specs)))
 
     def tile(self, number: int) -> Tile:
-        """Return a tile with all data that it needs."""
+        """Return tile ``number`` with its data."""
         spec = self.tile_specs[number]
         whole = len(self.tile_specs) == 1
         wanted = math.ceil(TUNING.oversampling * self.n_out / len(self.points))
@@ -93,35 +98,37 @@ class Plan:
 
 
 def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
-    """Clean and normalise a cloud, and cut it into tiles.
+    """Clean and normalise a cloud, and divide it into tiles.
 
     Args:
         cloud: the input.
-        options: of the caller.
-        tile_size: input points of a tile at most; chosen by the size of its answer if ``None``.
+        options: options of the caller.
+        tile_size: largest number of input points in the core of a tile; by default it follows
+            from the number of output points.
 
     Raises:
         UntreatableCloudError: the points left after cleaning span no surface.
-        BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` asks for
-            data that the cloud does not have.
+        BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` needs
+            normals that the cloud does not have.
     """
     cleaned, dropped = clean(cloud)
     points, normalisation = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
-    if not count <= n_out <= MOST * count:
+    most = int(LARGEST_RATIO) * count
+    if not count <= n_out <= most:
         refuse(
             "n_points",
             n_out,
-            f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
-            limit=[count, int(MOST) * count],
+            f"from {count} to {most} (1 to 32 times the points left after cleaning)",
+            limit=[count, most],
         )
-    specs, noise, typical = plan_tiles(points, n_out, tile_size)
-    if noise is not None and noise > TUNING.noisy and not options.keeps_points(count):
-        # Points of the core lean on those of the margin, so the margin is denoised as well.
+    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size)
+    if noise is not None and noise > TUNING.noise_threshold and not options.keeps_points(count):
+        # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
-    given = cleaned.normals is not None
-    method = resolve_method(options.orient, options.viewpoint, has_normals=given)
+    has_normals = cleaned.normals is not None
+    method = resolve_method(options.orient, options.viewpoint, has_normals=has_normals)
     report = {
         "points_in": len(cloud),
         "points_used": count,
@@ -140,7 +147,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         centroid=points.mean(axis=0),
         tile_specs=specs,
         noise=noise,
-        spacing=typical,
+        spacing=median_spacing,
         options=options,
         orient=method,
         n_out=n_out,

@@ -20,7 +20,7 @@ __all__ = ["PreparedTile", "prepare"]
 
 @dataclass(frozen=True, eq=False)
 class PreparedTile:
-    """A tile with everything that the network and the resampling need of it.
+    """A tile with the inputs of the network and of the resampling.
 
     Rows are in the order of the patches.
 
@@ -32,9 +32,9 @@ class PreparedTile:
         points: ``(M, 3)`` float64, unit scale.
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one canonical frame a point.
-        area: ``(M,)`` float64, surface area that each point stands for, unit scale squared.
-        patches: units of work of the network; their cores partition the points that get charts.
-        noise: of the input as it came, in spacings, see `noise_level`.
+        area: ``(M,)`` float64, surface area of each point, unit scale squared.
+        patches: inputs of the network; their cores partition the points that get charts.
+        noise: of the original input, in spacings, see `noise_level`.
     """
 
     tile: Tile
@@ -50,18 +50,18 @@ class PreparedTile:
 
     @property
     def charted_points(self) -> NDArray[np.float64]:
-        """``(charted, 3)``: the points that get charts, which lead."""
+        """The leading points, ``(charted, 3)``: those with charts."""
         return self.points[: self.tile.charted]
 
     @property
     def adds_nothing(self) -> bool:
-        """Whether the answer is the input points, with normals."""
+        """True if the output has no new point, only the input points with normals."""
         return self.tile.keeps_input and self.tile.n_out == self.tile.core
 
 
 def prepare(tile: Tile) -> PreparedTile:
-    """Find neighbours, fit frames, and cut a tile into patches."""
-    # With rows in the order of the patches, a patch's core is a slice of every array.
+    """Find neighbours, fit canonical frames and extract the patches of a tile."""
+    # With rows in the order of the patches, the core of a patch is a slice of every array.
     cores = partition(tile.points[: tile.charted], PATCH_SIZE)
     order = np.concatenate([*cores, np.arange(tile.charted, len(tile.points), dtype=np.int32)])
     points = tile.points[order]
@@ -87,8 +87,8 @@ def prepare(tile: Tile) -> PreparedTile:
 
 
 def _typical_spacing(tile: Tile, frames: Frames) -> float | None:
-    """The median spacing of the whole cloud, ``None`` where the tile is the whole cloud."""
+    """Return the median spacing of the whole cloud, ``None`` if the tile is the whole cloud."""
     if tile.spacing is None or tile.noisy is None:
         return tile.spacing
-    # The whole cloud's spacing was measured with its noise, which widens distances.
+    # The spacing of the whole cloud was measured before denoising; noise increases distances.
     return float(tile.spacing * (np.median(frames.spacing) / tile.noisy.median_spacing))

@@ -9,13 +9,13 @@ __all__ = ["StageTimes"]
 
 
 class StageTimes:
-    """Sums of seconds by the name of a stage, in the order in which stages were first met.
+    """Sums of seconds by stage name, in the order in which the stages first began.
 
     Args:
-        on_begin: called with the name of each stage that begins to be measured.
+        on_begin: called with the name of a stage each time its measurement begins.
 
     Attributes:
-        seconds: of each stage.
+        seconds: stage name -> seconds.
     """
 
     def __init__(self, on_begin: Callable[[str], object] | None = None) -> None:
@@ -24,7 +24,7 @@ class StageTimes:
 
     @contextmanager
     def measure(self, stage: str) -> Iterator[None]:
-        """Add the wall time of the block to a stage."""
+        """Add the wall time of the ``with`` block to a stage."""
         if self._on_begin is not None:
             self._on_begin(stage)
         start = time.perf_counter()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Upsampling in one process."""
+"""Upsampling of clouds in one process."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,19 +10,23 @@ from numpy.typing import NDArray
 
 from pugeo_model.assembly import Result, assemble
 from pugeo_model.cloud import Cloud
+from pugeo_model.local_stages import LocalStages
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options
-from pugeo_model.pipeline import LocalStages, run_here, upsample_tile
+from pugeo_model.pipeline import run_here, upsample_tile
 from pugeo_model.plan import Plan, make_plan
 
 __all__ = ["Upsampler"]
 
 
 class Upsampler:
-    """A loaded network that upsamples clouds in this process.
+    """A network that upsamples clouds in this process.
 
     Args:
-        weights: name of released weights, or the path of a ``.safetensors`` file.
+        weights: name of released weights, or path of a ``.safetensors`` file.
+
+    Raises:
+        BadOptionError: no such weights.
     """
 
     def __init__(self, weights: str | Path = "standard") -> None:
@@ -42,14 +46,21 @@ class Upsampler:
         keep_input: bool = False,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Result:
-        """Upsample a cloud; arguments as in :class:`Options`.
+        """Upsample a cloud.
 
         Args:
             cloud: a cloud, or points ``(M, 3)``.
-            progress: called with the name of a stage, the patches done, and all patches.
+            ratio: output points per input point, 1..32.
+            n_points: number of output points; replaces ``ratio``.
+            orient: method that gives normals their signs, see :class:`Options`.
+            viewpoint: sensor position ``(x, y, z)`` in the cloud's own frame and units.
+            seed: each seed gives another, equally even sample.
+            keep_input: begin the output with the cleaned input points, unchanged.
+            progress: called with the name of the current stage, the number of completed patches,
+                and the number of all patches.
 
         Raises:
-            CloudError: the cloud or an option cannot be used.
+            CloudError: the cloud or an option is invalid.
         """
         if not isinstance(cloud, Cloud):
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
@@ -62,16 +73,16 @@ class Upsampler:
         """Upsample a planned cloud; ``progress`` as in ``__call__``."""
         total, done = plan.report["patches"], 0
 
-        def tell(stage: str, share: float) -> None:
+        def report_stage(stage: str, fraction: float) -> None:
             if progress:
-                progress(stage, done + int(share * spec.patches), total)
+                progress(stage, done + int(fraction * spec.patches), total)
 
-        stages, tiles = LocalStages(self.model, tell), []
+        stages, tiles = LocalStages(self.model, report_stage), []
         for tile, spec in zip(plan.tiles, plan.tile_specs, strict=True):
             tiles.append(run_here(upsample_tile(stages, tile)))
             done += spec.patches
             if len(plan.tile_specs) > 1:
-                # The memory that each tile leaves free between surviving blocks would add up.
+                # Memory that each tile leaves fragmented would add up.
                 give_back_freed_memory()
         result = assemble(plan, tiles)
         if progress:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes along the axes, around and of points.
+"""Axis-aligned bounding boxes of points.
 
-Each is one pass over the points without a copy: numpy's reductions over rows of three take ten
-times as long, which was half of what cutting a million points took.
+Each function is one pass over the points without a copy: numpy's reductions over rows of three
+take ten times as long, half of the time to partition a million points.
 """
 
 import numpy as np
@@ -13,7 +13,12 @@ __all__ = ["bounds", "rows_inside"]
 
 @njit(cache=True, nogil=True)
 def bounds(points, rows):  # type: ignore[no-untyped-def]
-    """Lowest and highest corner ``(3,)`` of the box around ``rows`` (at least one) of points."""
+    """Return the lowest and the highest corner ``(3,)`` of the box of some points.
+
+    Args:
+        points: ``(M, 3)`` float64.
+        rows: ``(n,)`` rows of these points, at least one.
+    """
     low, high = points[rows[0]].copy(), points[rows[0]].copy()
     for row in rows:
         for axis in range(3):
@@ -24,7 +29,7 @@ def bounds(points, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def rows_inside(points, rows, low, high):  # type: ignore[no-untyped-def]
-    """Those of ``rows`` whose points are in the box from ``low`` to ``high``, in their order."""
+    """Return the rows whose points lie in the box from ``low`` to ``high``, in their order."""
     found = np.empty_like(rows)
     count = 0
     for row in rows:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the surface each input point stands for: what the answer's density follows."""
+"""Surface area of each input point; the density of the output follows it."""
 
 import numpy as np
 from numba import njit
@@ -9,44 +9,58 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["neighbour_mean", "surface_areas"]
 
-_AREA = 0.756  # of a point's share of the surface, in squared spacings (mean distance to 8)
-_ANY = 1e3
+_AREA = 0.756  # area of a point of an even sample, in squared spacings (mean distance to 8)
+_LARGE = 1e3  # log of an area ratio beyond all that occur
 
 
 def surface_areas(
     spacing: NDArray[np.float32], neighbours: NDArray[np.int32], typical: float | None = None
 ) -> NDArray[np.float64]:
-    """Surface area that each input point stands for, ``(M,)``, unit scale.
+    """Estimate the surface area that each input point represents.
 
-    The density of the input is followed, its accidents are not: surface_areas are neighbour_mean over neighbours
-    far and wide, and what is left of an even input's differences is not believed.
+    Areas are averaged over neighbours several rounds, and small differences from the typical area
+    are treated as random variation, so that they follow only the density of the input.
 
     Args:
-        spacing: ``(M,)``.
+        spacing: ``(M,)`` float32.
         neighbours: ``(M, k)`` rows near each point.
-        typical: spacing that half of the whole cloud's points have at most; by default of these.
+        typical: median spacing of the whole cloud; by default of these points.
+
+    Returns:
+        ``(M,)`` float64, in squared units of ``spacing``.
     """
     area: NDArray[np.float64] = neighbour_mean(
         _AREA * spacing.astype(np.float64) ** 2, neighbours, TUNING.area_rounds
     )
-    usual = _AREA * (float(np.median(spacing)) if typical is None else typical) ** 2
-    apart = np.log(area / usual)
-    believed = np.interp(
-        np.abs(apart), [TUNING.even_area, TUNING.uneven_area, _ANY], [0.0, TUNING.uneven_area, _ANY]
+    typical_area = _AREA * (float(np.median(spacing)) if typical is None else typical) ** 2
+    log_ratio = np.log(area / typical_area)
+    reduced = np.interp(
+        np.abs(log_ratio),
+        [TUNING.even_area, TUNING.uneven_area, _LARGE],
+        [0.0, TUNING.uneven_area, _LARGE],
     )
-    share: NDArray[np.float64] = usual * np.exp(np.copysign(believed, apart))
-    return share
+    areas: NDArray[np.float64] = typical_area * np.exp(np.copysign(reduced, log_ratio))
+    return areas
 
 
 @njit(cache=True, nogil=True)
-def neighbour_mean(values, neighbours, times):  # type: ignore[no-untyped-def]
-    """Means ``(M,)`` over neighbours ``(M, k)``, of means over neighbours, and so on."""
-    now, after = values.copy(), np.empty_like(values)
-    for _ in range(times):
+def neighbour_mean(values, neighbours, rounds):  # type: ignore[no-untyped-def]
+    """Replace each value by the mean of its neighbours' values, several rounds.
+
+    Args:
+        values: ``(M,)`` float64.
+        neighbours: ``(M, k)`` rows.
+        rounds: number of repetitions.
+
+    Returns:
+        ``(M,)`` float64.
+    """
+    current, following = values.copy(), np.empty_like(values)
+    for _ in range(rounds):
         for i in range(len(neighbours)):
             total = 0.0
             for near in neighbours[i]:
-                total += now[near]
-            after[i] = total / neighbours.shape[1]
-        now, after = after, now
-    return now
+                total += current[near]
+            following[i] = total / neighbours.shape[1]
+        current, following = following, current
+    return current

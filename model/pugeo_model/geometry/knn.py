@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nearest neighbours of all points of a cloud at once, leaf by leaf of a k-d tree.
+"""Nearest neighbours of all points of a cloud, leaf by leaf of a k-d tree.
 
-The points of a leaf look for the same neighbours, so what lies around the leaf is gathered once
-and every point compares itself with all of it: loops without branches, several times faster than
-one descent of the tree a point. Points with too much around them are left to the caller.
+The points of a leaf have mostly the same neighbours. The points around a leaf are gathered once,
+and each point of the leaf is compared with all of them in loops without branches: several times
+faster than one descent of the tree per point. Points with too many others around their leaf are
+left to the caller.
 """
 
 import numpy as np
@@ -12,38 +13,38 @@ from numpy.typing import NDArray
 
 __all__ = ["nearest_by_leaves"]
 
-_LEAF = 32  # points of a leaf at most, half as many at least
-_REACH = 0.48  # of the diagonal of a box with as many points as are wanted: seldom too short
-_MOST = 2048  # points gathered around a leaf
+_LEAF = 32  # largest number of points in a leaf; the smallest is half of it
+_RADIUS = 0.48  # first radius, of the diagonal of a box with `count` points: seldom too small
+_MOST = 2048  # largest number of points gathered around a leaf
 _TINY = 1e-150
-_SHELVES = 64  # by squared distance: what lies on one is then sorted by insertion
-_WORD = 8  # flags looked at together
+_BUCKETS = 64  # of squared distances; the content of a bucket is sorted by insertion
+_WORD = 8  # flags tested together
 
 
 def nearest_by_leaves(
     points: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """The ``count`` nearest of each point, itself left out.
+    """Find the ``count`` nearest neighbours of each point, without the point itself.
 
     Args:
-        points: ``(M, 3)``, more than ``count``.
-        count: neighbours wanted.
+        points: ``(M, 3)`` float64, more than ``count``.
+        count: number of neighbours.
 
     Returns:
-        Distances and rows, both ``(M, count)``, nearest first and lower rows first among equals.
-        Rows of a point that was left out are -1.
+        Distances float32 and rows int32, both ``(M, count)``, nearest first, at equal distance
+        lower rows first. The rows of a point that was not treated are -1.
     """
     distances = np.empty((len(points), count), dtype=np.float32)
     rows = np.full((len(points), count), -1, dtype=np.int32)
     order = np.arange(len(points), dtype=np.int32)
-    boxes, child, part = _grow(points, order)
+    boxes, child, part = _build_tree(points, order)
     _search(points, boxes, child, part, order, distances, rows)
     return distances, rows
 
 
 @njit(cache=True, nogil=True)
-def _halve(values, order, start, stop, middle):  # type: ignore[no-untyped-def]
-    """Put the rows of the lowest values of ``start..stop`` before ``middle`` (quickselect)."""
+def _select(values, order, start, stop, middle):  # type: ignore[no-untyped-def]
+    """Move the rows of the lowest values in ``start..stop`` before ``middle`` (quickselect)."""
     while stop - start > 1:
         a, b, c = values[order[start]], values[order[(start + stop) // 2]], values[order[stop - 1]]
         pivot = max(min(a, b), min(max(a, b), c))
@@ -66,12 +67,12 @@ def _halve(values, order, start, stop, middle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _grow(points, order):  # type: ignore[no-untyped-def]
-    """Sort ``order`` into the leaves of a tree.
+def _build_tree(points, order):  # type: ignore[no-untyped-def]
+    """Build a k-d tree; sorts ``order`` by leaf.
 
     Returns:
-        Boxes ``(nodes, 6)`` (lowest and highest corner), first child ``(nodes,)`` (its sister
-        follows; 0 for a leaf) and the part of ``order`` that each holds ``(nodes, 2)``.
+        Boxes ``(nodes, 6)`` (lowest and highest corner), first child ``(nodes,)`` (the second one
+        follows it; 0 for a leaf) and the range of ``order`` of each node ``(nodes, 2)``.
     """
     columns = points.T.copy()
     most = 4 * (len(points) // _LEAF + 1)
@@ -93,7 +94,7 @@ def _grow(points, order):  # type: ignore[no-untyped-def]
                 widest, side = axis, high - low
         if stop - start > _LEAF:
             middle = (start + stop) // 2
-            _halve(columns[widest], order, start, stop, middle)
+            _select(columns[widest], order, start, stop, middle)
             child[at] = nodes
             part[nodes, 0], part[nodes, 1] = start, middle
             part[nodes + 1, 0], part[nodes + 1, 1] = middle, stop
@@ -103,8 +104,11 @@ def _grow(points, order):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _gather(leaf, reach, boxes, child, part, stack, order, points, around, rows):  # type: ignore[no-untyped-def]
-    """Points of the leaf, then of all other leaves in its reach; how many, -1 if too many."""
+def _gather(leaf, radius, boxes, child, part, stack, order, points, around, rows):  # type: ignore[no-untyped-def]
+    """Gather the points of a leaf and of all leaves within a radius; returns their number.
+
+    Returns -1 if there are too many.
+    """
     count = 0
     for at in range(part[leaf, 0], part[leaf, 1]):
         rows[count] = order[at]
@@ -121,7 +125,7 @@ def _gather(leaf, reach, boxes, child, part, stack, order, points, around, rows)
             )
             if gap > 0.0:
                 squared += gap * gap
-        if squared > reach * reach or node == leaf:
+        if squared > radius * radius or node == leaf:
             continue
         if child[node]:
             stack[depth], stack[depth + 1] = child[node], child[node] + 1
@@ -139,9 +143,9 @@ def _gather(leaf, reach, boxes, child, part, stack, order, points, around, rows)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _compare(own, count, limit, around, squared, within):  # type: ignore[no-untyped-def]
-    """Squared distances to all that was gathered, and which are within the limit."""
-    x, y, z = around[0, own], around[1, own], around[2, own]
+def _compare(point, count, limit, around, squared, within):  # type: ignore[no-untyped-def]
+    """Squared distances to all gathered points, and flags of those within the limit."""
+    x, y, z = around[0, point], around[1, point], around[2, point]
     for at in range(count):
         a = around[0, at] - x
         b = around[1, at] - y
@@ -149,21 +153,21 @@ def _compare(own, count, limit, around, squared, within):  # type: ignore[no-unt
         d = a * a + b * b + c * c
         squared[at] = d
         within[at] = d <= limit
-    within[own] = 0
+    within[point] = 0
 
 
 @njit(cache=True, nogil=True)
-def _number(squared, scale):  # type: ignore[no-untyped-def]
-    """Of the shelf of a squared distance."""
-    return max(min(np.int64(squared * scale), _SHELVES - 1), 0)
+def _bucket(squared, scale):  # type: ignore[no-untyped-def]
+    """Bucket of a squared distance."""
+    return max(min(np.int64(squared * scale), _BUCKETS - 1), 0)
 
 
 @njit(cache=True, nogil=True)
-def _shelve(count, limit, squared, words, within, picked, shelf):  # type: ignore[no-untyped-def]
-    """List what is within the limit and count it by shelf; returns how many."""
+def _count_buckets(count, limit, squared, words, within, picked, buckets):  # type: ignore[no-untyped-def]
+    """List the points within the limit and count them by bucket; returns their number."""
     found = 0
-    shelf[:] = 0
-    scale = _SHELVES / limit
+    buckets[:] = 0
+    scale = _BUCKETS / limit
     for word in range(count // _WORD + 1):
         if words[word] == 0:
             continue
@@ -171,27 +175,28 @@ def _shelve(count, limit, squared, words, within, picked, shelf):  # type: ignor
             if within[at]:
                 picked[found] = at
                 found += 1
-                shelf[_number(squared[at], scale)] += 1
+                buckets[_bucket(squared[at], scale)] += 1
     return found
 
 
 @njit(cache=True, nogil=True)
-def _sort(found, wanted, limit, squared, rows, picked, shelf, keys, sorted_rows):  # type: ignore[no-untyped-def]
-    """The ``wanted`` nearest to the front of ``keys`` and ``sorted_rows``, in order."""
-    scale = _SHELVES / limit
+def _sort(found, wanted, limit, squared, rows, picked, buckets, keys, sorted_rows):  # type: ignore[no-untyped-def]
+    """Sort the ``wanted`` nearest to the front of ``keys`` and ``sorted_rows`` (bucket sort)."""
+    scale = _BUCKETS / limit
     last = total = 0
-    for at in range(_SHELVES):
-        here = shelf[at]
-        shelf[at] = total
+    for at in range(_BUCKETS):
+        size = buckets[at]
+        buckets[at] = total
         if total < wanted:
             last = at
-        total += here
+        total += size
     for at in range(found):
-        on = _number(squared[picked[at]], scale)
-        if on <= last:
-            keys[shelf[on]], sorted_rows[shelf[on]] = squared[picked[at]], rows[picked[at]]
-            shelf[on] += 1
-    for at in range(1, shelf[last]):
+        bucket = _bucket(squared[picked[at]], scale)
+        if bucket <= last:
+            to = buckets[bucket]
+            keys[to], sorted_rows[to] = squared[picked[at]], rows[picked[at]]
+            buckets[bucket] += 1
+    for at in range(1, buckets[last]):
         key, row = keys[at], sorted_rows[at]
         to = at
         while to and (keys[to - 1] > key or (keys[to - 1] == key and sorted_rows[to - 1] > row)):
@@ -202,13 +207,14 @@ def _sort(found, wanted, limit, squared, rows, picked, shelf, keys, sorted_rows)
 
 @njit(cache=True, nogil=True)
 def _search(points, boxes, child, part, order, distances, found_rows):  # type: ignore[no-untyped-def]
+    """Search leaf by leaf, with growing radii until all points of a leaf have enough neighbours."""
     wanted = found_rows.shape[1]
     around, squared = np.empty((3, _MOST)), np.empty(_MOST)
     rows, picked = np.empty(_MOST, dtype=np.int32), np.empty(_MOST, dtype=np.int32)
-    # One flag a point; eight of them are one word, and most words are zero.
+    # One flag per point; eight are tested as one word, since most are zero.
     words = np.zeros(_MOST // _WORD + 1, dtype=np.uint64)
     within = words.view(np.uint8)
-    shelf = np.empty(_SHELVES, dtype=np.int32)
+    buckets = np.empty(_BUCKETS, dtype=np.int32)
     keys, sorted_rows = np.empty(_MOST), np.empty(_MOST, dtype=np.int32)
     stack = np.empty(128, dtype=np.int32)
     for leaf in range(len(boxes)):
@@ -216,27 +222,27 @@ def _search(points, boxes, child, part, order, distances, found_rows):  # type: 
             continue
         size = part[leaf, 1] - part[leaf, 0]
         diagonal = np.sqrt(((boxes[leaf, 3:] - boxes[leaf, :3]) ** 2).sum())
-        # Never zero, whose multiples are no further.
-        reach = max(_REACH * diagonal * np.sqrt(wanted / size), _TINY)
-        todo = size
-        while todo and reach < np.inf:
-            count = _gather(leaf, reach, boxes, child, part, stack, order, points, around, rows)
+        # Never zero, since the radius grows by a factor.
+        radius = max(_RADIUS * diagonal * np.sqrt(wanted / size), _TINY)
+        unfinished = size
+        while unfinished and radius < np.inf:
+            count = _gather(leaf, radius, boxes, child, part, stack, order, points, around, rows)
             if count < 0:
                 break
-            limit = reach * reach
+            limit = radius * radius
             within[count : (count // _WORD + 1) * _WORD] = 0
-            todo = 0
-            for own in range(size):
-                i = rows[own]
+            unfinished = 0
+            for point in range(size):
+                i = rows[point]
                 if found_rows[i, 0] >= 0:
                     continue
-                _compare(own, count, limit, around, squared, within)
-                found = _shelve(count, limit, squared, words, within, picked, shelf)
+                _compare(point, count, limit, around, squared, within)
+                found = _count_buckets(count, limit, squared, words, within, picked, buckets)
                 if found < wanted:
-                    todo += 1
+                    unfinished += 1
                     continue
-                _sort(found, wanted, limit, squared, rows, picked, shelf, keys, sorted_rows)
+                _sort(found, wanted, limit, squared, rows, picked, buckets, keys, sorted_rows)
                 for at in range(wanted):
                     distances[i, at] = np.sqrt(keys[at])
                     found_rows[i, at] = sorted_rows[at]
-            reach *= 1.5
+            radius *= 1.5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cutting a cloud into spatial partition of about equal size."""
+"""Partition of a cloud into compact parts of about equal size."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,28 +9,33 @@ from pugeo_model.geometry.aabb import bounds
 __all__ = ["PATCH_SIZE", "partition"]
 
 PATCH_SIZE = 2048
-"""Core points of a patch at most: a fifth more rows for its rings, and the caches still hold it."""
+"""Largest core of a patch: its rings add a fifth, and its arrays fit the processor's caches."""
 
 
 def partition(points: NDArray[np.float64], size: int = PATCH_SIZE) -> list[NDArray[np.int32]]:
-    """Rows of ``(M, 3)`` points in compact partition of at most ``size``, equal to within one.
+    """Divide points by recursive bisection across the longest side of their bounding box.
 
-    Halves are cut across the longest side, at the count that keeps all partition equal; each
-    chunk's rows ascend. The same points give the same partition.
+    Args:
+        points: ``(M, 3)`` float64.
+        size: largest number of points in a part.
+
+    Returns:
+        Rows of each part, ascending, int32. The sizes differ by at most one, and the same points
+        always give the same parts.
     """
-    wanted = -(-len(points) // size)
-    done: list[NDArray[np.int32]] = []
-    todo = [(np.arange(len(points), dtype=np.int32), wanted)]
-    while todo:
-        rows, parts = todo.pop()
+    total = -(-len(points) // size)
+    finished: list[NDArray[np.int32]] = []
+    pending = [(np.arange(len(points), dtype=np.int32), total)]
+    while pending:
+        rows, parts = pending.pop()
         if parts == 1:
-            done.append(np.sort(rows))
+            finished.append(np.sort(rows))
             continue
         low, high = bounds(points, rows)
         axis = int(np.argmax(high - low))
         left = parts // 2
         middle = len(rows) * left // parts
         order = np.argpartition(points[rows, axis], middle)
-        todo.append((rows[order[middle:]], parts - left))
-        todo.append((rows[order[:middle]], left))
-    return done
+        pending.append((rows[order[middle:]], parts - left))
+        pending.append((rows[order[:middle]], left))
+    return finished

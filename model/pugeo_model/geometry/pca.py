@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Principal axes of weighted neighbours: where every frame starts."""
+"""Principal axes (PCA) of weighted neighbours, the start of each canonical frame."""
 
 import numpy as np
 from numba import njit
@@ -15,12 +15,12 @@ def principal_axes(
     rows: NDArray[np.float64],
     work: NDArray[np.float64],
 ) -> None:
-    """The directions of falling variance of weighted neighbours.
+    """Compute the principal axes of weighted neighbours.
 
     Args:
-        local: ``(3, k)`` neighbours as seen from the point, which counts with weight 1.
+        local: ``(3, k)`` offsets of the neighbours from the point; the point itself has weight 1.
         weights: ``(k,)``.
-        rows: ``(3, 3)``, gets the directions, right-handed.
+        rows: ``(3, 3)``, receives the axes by decreasing variance, right-handed.
         work: ``(6, 3)`` or larger, overwritten.
     """
     total, x, y, z, xx, xy, xz, yy, yz, zz = _second_moments(local, weights)
@@ -50,7 +50,7 @@ def principal_axes(
 
 @njit(cache=True, nogil=True)
 def cross(rows: NDArray[np.float64], a: int, b: int, to: int) -> None:
-    """Row ``to`` becomes the cross product of rows ``a`` and ``b``."""
+    """Set row ``to`` to the cross product of rows ``a`` and ``b``."""
     x = rows[a, 1] * rows[b, 2] - rows[a, 2] * rows[b, 1]
     y = rows[a, 2] * rows[b, 0] - rows[a, 0] * rows[b, 2]
     z = rows[a, 0] * rows[b, 1] - rows[a, 1] * rows[b, 0]
@@ -59,6 +59,7 @@ def cross(rows: NDArray[np.float64], a: int, b: int, to: int) -> None:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _second_moments(local, weights):  # type: ignore[no-untyped-def]
+    """Sums of weights, weighted coordinates and weighted products of coordinates."""
     total, x, y, z = 1.0, 0.0, 0.0, 0.0
     xx = xy = xz = yy = yz = zz = 0.0
     for j in range(len(weights)):
@@ -78,7 +79,10 @@ def _second_moments(local, weights):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _diagonalise(matrix, vectors):  # type: ignore[no-untyped-def]
-    """Jacobi rotations of a symmetric 3x3, in place; columns of ``vectors`` are eigenvectors."""
+    """Diagonalise a symmetric 3x3 matrix by Jacobi rotations, in place.
+
+    The columns of ``vectors`` become the eigenvectors.
+    """
     for a in range(3):
         for b in range(3):
             vectors[a, b] = 1.0 if a == b else 0.0

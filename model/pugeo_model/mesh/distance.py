@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact nearest points on meshes, for the loss and for the metrics."""
+"""Exact nearest points on triangle meshes."""
 
 import igl
 import numpy as np
@@ -9,7 +9,7 @@ __all__ = ["MeshDistance"]
 
 
 class MeshDistance:
-    """Nearest surface points of one mesh, by a bounding-volume tree built once.
+    """Nearest points on one mesh, by a bounding-volume tree that is built once.
 
     Args:
         vertices: ``(V, 3)`` float64.
@@ -25,7 +25,11 @@ class MeshDistance:
     def nearest(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """Distances ``(K,)``, faces ``(K,)`` and nearest surface points ``(K, 3)``."""
+        """Find the nearest point of the surface for each of the points ``(K, 3)``.
+
+        Returns:
+            Distances ``(K,)`` float64, faces ``(K,)`` int64, nearest points ``(K, 3)`` float64.
+        """
         squared, face, foot = self._tree.squared_distance(
             self._vertices, self._faces, np.ascontiguousarray(points, dtype=np.float64)
         )

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What upsampling reaches without learning: the yardsticks beside our rows.
+"""Baselines without learning, for comparison with the network.
 
-``plane`` and ``jet`` are our own way of a cloud with a textbook fit in the select of the network:
-an even disk of candidates on every point's chart, blending, merge and orientation alike. What the
-network adds is the distance to them. ``poisson`` samples a reconstructed surface anew.
+``plane`` and ``jet`` run the same pipeline with fitted charts in place of predicted ones: an even
+disk of candidates on each chart, then blending, selection and orientation. The difference to the
+model is the contribution of the network. ``poisson`` samples a reconstructed surface.
 """
 
 from collections.abc import Callable
@@ -16,28 +16,28 @@ from pugeo_model.assembly import assemble
 from pugeo_model.cloud import Cloud
 from pugeo_model.finish import UpsampledTile, finish
 from pugeo_model.mesh.distance import MeshDistance
+from pugeo_model.mesh.sampling import face_normals, poisson_disk
 from pugeo_model.metrics.reconstruction import reconstruct
-from pugeo_model.network.pattern import disk
+from pugeo_model.network.pattern import DISK_SIDE, disk
 from pugeo_model.options import Options
 from pugeo_model.pipeline import run_here, upsample_tile
 from pugeo_model.plan import Plan, make_plan
 from pugeo_model.prepare import PreparedTile, prepare
 from pugeo_model.resample.atlas import BLENDED_CHARTS, Projected
-from pugeo_model.resample.selection import nearest_charts, select
+from pugeo_model.resample.nearest_charts import nearest_charts
+from pugeo_model.resample.selection import select
 from pugeo_model.tiles import Tile
-from pugeo_model.training.corpus import face_normals, poisson_disk
+from pugeo_model.tuning import TUNING
 
 __all__ = ["jet", "plane", "poisson"]
 
-_FALLOFF = 2.0  # of a chart's weight with the squared distance in spacings, as in the network
-_PLANE_NEIGHBOURS = 16  # as one takes for PCA normals
-_LIFT = 0.5  # share of the quadric's constant, as in the network before its first step
-_DISK = 0.87  # side, in spacings, of the square as large as one point's share of the surface
+_PLANE_NEIGHBOURS = 16  # a usual number for PCA normals
+_LIFT = 0.5  # fraction of the quadric's constant, as in the untrained network
 
 
 @dataclass(frozen=True, eq=False)
 class _Charts:
-    """A height field over the tangent plane of every point.
+    """A height field over the tangent plane of each point.
 
     Attributes:
         points: ``(M, 3)``.
@@ -54,7 +54,7 @@ class _Charts:
     def lift(
         self, owner: NDArray[np.integer], uv: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points ``(K, 3)`` and unit normals ``(K, 3)`` at ``uv`` ``(K, 2)`` of their charts."""
+        """Evaluate points ``(K, 3)`` and unit normals ``(K, 3)`` of charts at ``uv`` ``(K, 2)``."""
         u, v = uv.T
         c0, c1, c2, c3, c4, c5 = self.quadric[owner].T
         height = c0 + c1 * u + c2 * v + 0.5 * c3 * u * u + c4 * u * v + 0.5 * c5 * v * v
@@ -72,7 +72,7 @@ class _Charts:
         owner: NDArray[np.int32],
         neighbours: NDArray[np.int32],
     ) -> Projected:
-        """Query points ``(K, 3)`` on the blend of their nearest charts, weighed by distance alone."""
+        """Project points ``(K, 3)`` onto their nearest charts, blended by distance only."""
         near = nearest_charts(queries, owner, self.points, neighbours, BLENDED_CHARTS)
         total = np.zeros((len(queries), 1))
         points, normals, first = (
@@ -86,7 +86,7 @@ class _Charts:
             lifted, normal = self.lift(chart, local[:, :2])
             first = normal if column == 0 else first
             normal = np.where((normal * first).sum(axis=1, keepdims=True) < 0, -normal, normal)
-            weight = np.exp(-_FALLOFF * (local**2).sum(axis=1, keepdims=True)) + 1e-12
+            weight = np.exp(-TUNING.blend_falloff * (local**2).sum(axis=1, keepdims=True)) + 1e-12
             points += weight * lifted
             normals += weight * normal
             total += weight
@@ -95,17 +95,17 @@ class _Charts:
 
 
 def plane(cloud: Cloud, ratio: float) -> Cloud:
-    """PCA of 16 neighbours: every point's tangent plane, its samples on that plane."""
+    """Upsample on the tangent planes of the points, from PCA of 16 neighbours."""
     return _on_charts(cloud, ratio, _planes)
 
 
 def jet(cloud: Cloud, ratio: float) -> Cloud:
-    """A quadric fitted to the neighbours in the canonical frame: where training starts from."""
+    """Upsample on quadrics fitted in canonical frames (jets), the starting point of training."""
     return _on_charts(cloud, ratio, _jets)
 
 
 def poisson(cloud: Cloud, ratio: float) -> Cloud:
-    """Screened Poisson reconstruction of the input with the jet's normals, sampled evenly anew.
+    """Upsample by screened Poisson reconstruction with normals of jets, sampled evenly.
 
     Raises:
         ModuleNotFoundError: pycolmap is not installed.
@@ -125,24 +125,24 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
 
 
 def _whole(cloud: Cloud, ratio: float) -> Plan:
-    """The cloud in one piece, however large."""
+    """Plan with a single tile, for a cloud of any size."""
     return make_plan(cloud, Options(ratio), tile_size=len(cloud))
 
 
 def _projected(
     points: NDArray[np.float64], normals: NDArray[np.float64], nearest: NDArray[np.int32]
 ) -> Projected:
-    """Points that expect the same error everywhere: these methods know nothing of theirs."""
+    """Projected points with the same error everywhere, since these methods predict none."""
     even = np.ones(len(points), dtype=np.float32)
     return Projected(points, normals.astype(np.float32), even, nearest)
 
 
 @dataclass(frozen=True)
 class _FittedStages:
-    """The stages of a tile with charts that are fitted and not predicted.
+    """The stages of a tile with fitted charts in place of predicted ones.
 
     Attributes:
-        fit: charts of a prepared tile.
+        fit: fits the charts of a prepared tile.
     """
 
     fit: Callable[[PreparedTile], _Charts]
@@ -153,18 +153,18 @@ class _FittedStages:
     async def predict(self, prepared: PreparedTile) -> _Charts:
         return self.fit(prepared)
 
-    def needs_denoising(self, prepared: PreparedTile) -> bool:
-        """Never: noise is smoothed by fitting alone."""
+    def needs_denoising(self, _prepared: PreparedTile) -> bool:
+        """Return ``False``: the fit alone removes noise."""
         return False
 
-    async def denoise(self, prepared: PreparedTile, charts: _Charts) -> Tile | None:
+    async def denoise(self, _prepared: PreparedTile, _charts: _Charts) -> Tile | None:
         return None
 
     async def densify(self, prepared: PreparedTile, charts: _Charts) -> UpsampledTile:
         tile, neighbours = prepared.tile, prepared.neighbours
         count = len(prepared.points)
         owner = np.repeat(np.arange(count, dtype=np.int32), tile.candidates)
-        pattern = np.tile(_DISK * disk(tile.candidates).astype(np.float64), (count, 1))
+        pattern = np.tile(DISK_SIDE * disk(tile.candidates).astype(np.float64), (count, 1))
         proposed, _ = charts.lift(owner, pattern)
         candidates = charts.project(proposed, owner, neighbours)
         _, points, owner = select(
@@ -188,18 +188,20 @@ def _on_charts(cloud: Cloud, ratio: float, fit: Callable[[PreparedTile], _Charts
 
 
 def _planes(prepared: PreparedTile) -> _Charts:
+    """Fit tangent planes by PCA."""
     near = prepared.points[prepared.neighbours[:, :_PLANE_NEIGHBOURS]]
     centred = near - near.mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("mka,mkb->mab", centred, centred))
     return _Charts(
         prepared.points,
-        vectors[:, :, ::-1].transpose(0, 2, 1),  # eigh sorts upwards, in columns
+        vectors[:, :, ::-1].transpose(0, 2, 1),  # eigh returns columns, ascending
         prepared.frames.spacing.astype(np.float64),
         np.zeros_like(prepared.frames.quadric, dtype=np.float64),
     )
 
 
 def _jets(prepared: PreparedTile) -> _Charts:
+    """Use the quadrics of the canonical frames."""
     frames = prepared.frames
     quadric = frames.quadric.astype(np.float64)
     quadric[:, 0] *= _LIFT

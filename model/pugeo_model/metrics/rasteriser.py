@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw a point cloud without a display and without a graphics library.
+"""Rasterisation of point clouds as discs (surface splatting, Zwicker et al. 2001), on the CPU.
 
-Each point becomes a small disc. Discs are cut into pixels, the nearest of each pixel is found,
-and all discs that lie on the same sheet as the nearest are blended, so that a dense cloud with
-normals looks like the surface it samples.
+Each point is a disc. Discs are divided into pixels, the nearest fragment of each pixel is found,
+and all fragments just behind it are blended with it, so that a dense cloud with normals looks like
+a surface.
 """
 
 from dataclasses import dataclass
@@ -25,41 +25,41 @@ VIEWER = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Camera:
-    """An orthographic view, the same for all pictures of one figure.
+    """An orthographic camera.
 
     Attributes:
-        centre: ``(3,)``, looked at.
-        reach: distance from the centre to the edge of the picture, cloud units.
-        turn: degrees about the vertical.
-        tilt: degrees, positive looks down upon what stands on the xz plane.
+        centre: ``(3,)``, centre of the picture, cloud units.
+        extent: distance from the centre to the edge of the picture, cloud units.
+        turn: rotation turn_matrix the vertical axis y, degrees.
+        tilt: rotation turn_matrix the horizontal axis, degrees; positive looks down.
         pixels: side of the square picture.
     """
 
     centre: Floats
-    reach: float
+    extent: float
     turn: float = 15.0
     tilt: float = -25.0
     pixels: int = 700
 
     @classmethod
     def on(cls, points: Floats, **changes: float) -> "Camera":
-        """Look at a cloud so that all of it is in the picture, with a small margin."""
+        """Create a camera whose picture contains a whole cloud ``(M, 3)``, with a small margin."""
         upright = cls(np.zeros(3), 1.0, **changes)  # type: ignore[arg-type]
         seen = points @ upright.rotation().T
         middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        reach = 1.08 * float(np.abs(seen - middle)[:, :2].max())
-        return cls(middle @ upright.rotation(), reach, **changes)  # type: ignore[arg-type]
+        extent = 1.08 * float(np.abs(seen - middle)[:, :2].max())
+        return cls(middle @ upright.rotation(), extent, **changes)  # type: ignore[arg-type]
 
     def rotation(self) -> Floats:
-        """``(3, 3)``: rows are the picture's right, up, and towards the viewer."""
+        """Return the rotation ``(3, 3)``; its rows are right, up, and towards the viewer."""
         turn, tilt = np.radians(self.turn), np.radians(self.tilt)
-        about = np.array(
+        turn_matrix = np.array(
             [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
         )
-        nod = np.array(
+        tilt_matrix = np.array(
             [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
         )
-        return np.asarray(nod @ about)
+        return np.asarray(tilt_matrix @ turn_matrix)
 
 
 def splat(
@@ -71,18 +71,18 @@ def splat(
     normals: Floats | None = None,
     lit: bool = True,
 ) -> Floats:
-    """Draw a cloud: with normals as a lit surface, without them as row_dots.
+    """Draw a cloud: with normals as a shaded surface, without normals as dots.
 
-    Dots hide what is behind them as if the gaps between them were closed; else the near and the
-    far side of a thing would show at once.
+    Behind each dot lies a larger disc in the colour of the background, so that the far side of an
+    object is not visible between the dots of the near side.
 
     Args:
-        camera: the view.
+        camera: the camera.
         points: ``(M, 3)``, cloud units.
         colors: ``(M, 3)``, linear RGB in [0, 1].
-        radius: of each disc, cloud units; of a dot's hidden part three times as much.
-        normals: ``(M, 3)`` of unit length, or None. Only their axis matters.
-        lit: shade what has normals; without it colours stay readable against a colour bar.
+        radius: radius of each disc, cloud units; discs behind dots are three times as large.
+        normals: ``(M, 3)`` unit length, of any sign, or ``None``.
+        lit: shade surfaces; otherwise colours match those of a colour bar.
 
     Returns:
         ``(pixels, pixels, 3)`` RGB in [0, 1], gamma corrected.
@@ -90,13 +90,13 @@ def splat(
     side = camera.pixels * SUPERSAMPLING
     rotation = camera.rotation()
     seen = (points - camera.centre) @ rotation.T
-    scale = side / (2 * camera.reach)
+    scale = side / (2 * camera.extent)
     if normals is None:
         facing = np.broadcast_to(VIEWER, points.shape)
-        row_dots = _fragments(seen, facing, radius, scale, side)
+        dots = _fragments(seen, facing, radius, scale, side)
         backs = _fragments(seen - 7 * radius * VIEWER, facing, 3 * radius, scale, side)
         backs = (*backs[:3], backs[3] + len(points))
-        fragments = tuple(np.concatenate(pair) for pair in zip(row_dots, backs, strict=True))
+        fragments = tuple(np.concatenate(pair) for pair in zip(dots, backs, strict=True))
         shaded = np.vstack([colors * _fog(seen[:, 2:]), np.broadcast_to(BACKGROUND, colors.shape)])
     else:
         facing = normals @ rotation.T
@@ -106,7 +106,7 @@ def splat(
     pixel, depth, weight, owner = fragments
     nearest = np.full(side * side, -np.inf)
     np.maximum.at(nearest, pixel, depth)
-    # What lies within one radius behind the nearest is the same sheet; more is another one.
+    # Fragments up to one radius behind the nearest one belong to the same surface.
     same = depth >= nearest[pixel] - radius
     pixel, weight, owner = pixel[same], weight[same], owner[same]
     total = np.bincount(pixel, weight, side * side)
@@ -116,20 +116,23 @@ def splat(
     image[covered] = np.stack(channels, axis=1)[covered] / total[covered, None]
     image = image.reshape(side, side, 3)
     if normals is not None and lit:
-        image *= np.where(covered, _crevices(nearest, side, camera.reach), 1).reshape(side, side, 1)
+        image *= np.where(covered, _ambient_occlusion(nearest, side, camera.extent), 1).reshape(
+            side, side, 1
+        )
     small = image.reshape(camera.pixels, SUPERSAMPLING, camera.pixels, SUPERSAMPLING, 3)
     return np.asarray(np.clip(small.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2))
 
 
 def _light(colors: Floats, facing: Floats) -> Floats:
+    """Shade colours with two diffuse lights and a highlight (Blinn-Phong)."""
     key = np.clip(facing @ _unit(KEY_LIGHT), 0, 1)[:, None]
     fill = np.clip(facing @ _unit(FILL_LIGHT), 0, 1)[:, None]
-    gleam = np.clip(facing @ _unit(KEY_LIGHT + VIEWER), 0, 1)[:, None] ** 40
-    return np.asarray(colors * (0.16 + 0.95 * key + 0.22 * fill) + 0.22 * gleam)
+    highlight = np.clip(facing @ _unit(KEY_LIGHT + VIEWER), 0, 1)[:, None] ** 40
+    return np.asarray(colors * (0.16 + 0.95 * key + 0.22 * fill) + 0.22 * highlight)
 
 
 def _fog(depth: Floats) -> Floats:
-    """Darken what is farther away: points without normals have no other cue of depth."""
+    """Brightness by depth: without normals, points further away are drawn darker."""
     span = np.ptp(depth) or 1.0
     return np.asarray(0.25 + 0.75 * (depth - depth.min()) / span)
 
@@ -137,13 +140,13 @@ def _fog(depth: Floats) -> Floats:
 def _fragments(
     seen: Floats, facing: Floats, radius: float, scale: float, side: int
 ) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
-    """Cut all discs into pixels: flat pixel index, depth, weight and point of each fragment."""
-    reach = max(1, int(np.ceil(radius * scale)))
-    offsets = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
-    offsets = offsets[np.hypot(*offsets.T) <= reach + 0.5]
+    """Divide discs into pixels: flat pixel index, depth, weight and point of each fragment."""
+    extent = max(1, int(np.ceil(radius * scale)))
+    offsets = np.stack(np.meshgrid(*[np.arange(-extent, extent + 1)] * 2), axis=-1).reshape(-1, 2)
+    offsets = offsets[np.hypot(*offsets.T) <= extent + 0.5]
     place = seen[:, :2] * scale * [1, -1] + side / 2
     corner = np.floor(place)
-    # A disc seen almost edge on is thin, and its plane runs away from the viewer: both are capped.
+    # Bounded, since a disc seen edge-on is infinitely thin and steep.
     steep = np.maximum(facing[:, 2], 0.15)
     parts = []
     for offset in offsets:
@@ -159,8 +162,8 @@ def _fragments(
     return pixels, depths, weights, owners
 
 
-def _crevices(nearest: Floats, side: int, reach: float) -> Floats:
-    """How much light reaches each pixel: less where its surroundings stand nearer to the viewer."""
+def _ambient_occlusion(nearest: Floats, side: int, extent: float) -> Floats:
+    """Ambient light of each pixel: less where its surroundings are nearer to the viewer."""
     depth = nearest.reshape(side, side)
     covered = np.isfinite(depth)
     shade = np.ones_like(depth)
@@ -169,7 +172,7 @@ def _crevices(nearest: Floats, side: int, reach: float) -> Floats:
         weight = ndimage.gaussian_filter(covered.astype(np.float64), sigma, truncate=2.5)
         around = ndimage.gaussian_filter(np.where(covered, depth, 0), sigma, truncate=2.5)
         mean = around / np.maximum(weight, 1e-9)
-        hidden = np.where(covered, mean - depth, 0) / (6 * blur * reach)
+        hidden = np.where(covered, mean - depth, 0) / (6 * blur * extent)
         shade *= 1 - 0.45 * np.clip(hidden, 0, 1)
     return shade.ravel()
 

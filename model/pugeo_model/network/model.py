@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network as the pipeline calls it: numpy in, numpy out, one patch at a time."""
+"""Interface of the network for the pipeline: numpy arrays, one patch at a time."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ import torch
 
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
-from pugeo_model.network.heads import spread
+from pugeo_model.network.heads import combine
 from pugeo_model.network.kernels.projection import Projector, bounded_step
 from pugeo_model.network.linear import freeze
 from pugeo_model.network.neighbourhoods import stack_patches
@@ -20,10 +20,10 @@ __all__ = ["Model"]
 
 
 class Model:
-    """A network ready to freeze.
+    """A network for inference, with frozen weights.
 
-    Patches are taken one at a time, always whole, so results cannot depend on how many are
-    batched or who computes them.
+    Patches are processed one at a time, so that results do not depend on batching or on the
+    process that computes them.
 
     Args:
         net: the network.
@@ -31,7 +31,7 @@ class Model:
     """
 
     def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
-        # First of all, since a projector tries a product out.
+        # Before the first matrix product, which the constructor of the projector makes.
         bound_compiled_products()
         keep_freed_memory()
         self.net = net.eval()
@@ -41,14 +41,19 @@ class Model:
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:
-        """Charts of the core points and ``count`` candidates from each."""
+        """Predict the charts of the core of a patch.
+
+        Args:
+            patch: the patch.
+            count: candidates per chart.
+        """
         core = patch.core
         frames = patch.frames
         quadric = frames.quadric[:core]
         charts, uv = self.net(stack_patches([patch]), torch.from_numpy(quadric), count)
-        # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
+        # On the tangent planes (eq. 4); the pipeline projects them onto the blended charts.
         scaled = torch.from_numpy(frames.axes[:core] * frames.spacing[:core, None, None])
-        candidates = spread(uv, charts.T[..., :2].mT @ scaled).numpy()
+        candidates = combine(uv, charts.T[..., :2].mT @ scaled).numpy()
         return PatchCharts(
             rows=patch.rows[:core],
             candidates=candidates.astype(np.float32, copy=False),
@@ -58,9 +63,9 @@ class Model:
         )
 
     def project(self, query: ProjectionQuery) -> Projected:
-        """Put every query point on the blend of its charts."""
+        """Project each query point onto the blend of its charts."""
         step, normals, log_error = self._projector(query)
-        points = bounded_step(query, step, TUNING.furthest)
+        points = bounded_step(query, step, TUNING.largest_offset)
         points[: query.fixed] = query.points[: query.fixed]
         nearest = query.charts[:, 0].copy()
         return Projected(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing a location on the nearest charts and blending what they say.
+"""Projection of points onto the nearest charts, and blending of the charts.
 
-A chart is trusted by distance and by the error it predicts for itself: near a crease or over a
-thin wall the chart of the other side expects to be wrong and loses its say.
+The weight of a chart falls with its distance and with its predicted error: near a crease or a
+thin wall, the charts of the other side predict large errors and get small weights.
 """
 
 import torch
@@ -11,22 +11,26 @@ from torch.nn import functional
 
 from pugeo_model.network.heads import Surface
 from pugeo_model.network.pugeo import Charts, evaluate
+from pugeo_model.tuning import TUNING
 
 __all__ = ["FALLOFF", "TRUST", "blend", "parametrise"]
 
-FALLOFF = 2.0
-"""Of the blending weight with the squared distance in spacings."""
+FALLOFF = TUNING.blend_falloff
+"""Decrease of the log weight of a chart per squared distance in spacings."""
 
-TRUST = 2.0
-"""Power of the inverse expected error: inverse variance."""
+TRUST = TUNING.blend_trust
+"""Power of the inverse predicted error in the weight of a chart."""
 
 
 def parametrise(charts: Charts, offsets: Tensor) -> Tensor:
-    """(u, v) of locations in their charts.
+    """Compute the parameters (u, v) of points in their charts: ``T^-1 x``, with T orthonormal.
 
     Args:
         charts: ``n`` charts.
-        offsets: ``(n, r, 3)`` from the chart's point, canonical frame, in spacings.
+        offsets: ``(n, r, 3)`` from the point of the chart, canonical frame, in spacings.
+
+    Returns:
+        ``(n, r, 2)`` in spacings.
     """
     uv: Tensor = (offsets @ charts.T)[..., :2]
     return uv
@@ -39,19 +43,23 @@ def blend(
     axes: Tensor,
     spacing: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
-    """Land each location on its charts and take the weighted mean.
+    """Project each point onto its charts and average with weights.
+
+    Chart c at distance ``d_c`` (in spacings) with predicted error ``e_c`` has the weight
+    ``w_c = exp(-FALLOFF d_c^2) e_c^-TRUST / sum``; step and normal are ``sum_c w_c step_c`` and
+    ``sum_c w_c (+-n_c)``, normalised, with the signs of the first chart.
 
     Args:
         surface: the f3/f4 head.
-        charts: ``m * k`` charts, the ``k`` of each location together.
-        offsets: ``(m, k, 3)`` location minus the chart's point, world frame, cloud units.
+        charts: ``m * k`` charts, the ``k`` of each point together.
+        offsets: ``(m, k, 3)`` point minus the point of the chart, frame and units of the cloud.
         axes: ``(m, k, 3, 3)`` canonical frames, rows.
         spacing: ``(m, k)``.
 
     Returns:
-        Step ``(m, 3)`` from the location to the surface, world frame, cloud units; unit normals
-        ``(m, 3)``, sign that of the first chart's; logarithm of the expected error in spacings
-        ``(m,)``; and of each chart alone its step ``(m, k, 3)`` and log error ``(m, k)``.
+        Step ``(m, 3)`` from the point to the surface, frame and units of the cloud; unit normals
+        ``(m, 3)``; log of the predicted error in spacings ``(m,)``; and for each single chart its
+        step ``(m, k, 3)`` and log error ``(m, k)``.
     """
     m, k = spacing.shape
     local = (axes @ offsets.unsqueeze(-1)).squeeze(-1) / spacing.unsqueeze(-1)

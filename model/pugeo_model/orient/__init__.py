@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From new points to a cloud that is worth keeping: attributes and the signs of normals."""
+"""Orientation: choice of the sign of normals, within a tile and across tiles."""

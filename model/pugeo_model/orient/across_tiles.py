@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of normals across the borders of tiles.
+"""Consistent signs of normals across tiles.
 
-Within a tile neighbours agree already. Points in the margin of one tile are in the core of
-another, so both say which way their normals point: where they contradict each other, one of the
-two is turned over, along a spanning tree that trusts most whom most points vouch for.
+Within each connected part of a tile the normals are consistent already. The points in the margin
+of a tile are in the core of another one, so that both tiles have normals there; their agreement
+gives the relative signs of the parts, along a minimum spanning tree of the parts.
 """
 
 from collections.abc import Sequence
@@ -13,22 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.orient.mst import row_dots, spanning_tree_signs
+from pugeo_model.orient.mst import spanning_tree_signs
 from pugeo_model.orient.outward import OutwardEvidence, collect_evidence, outward_signs
+from pugeo_model.orient.signs import row_dots
 
 __all__ = ["TileSigns", "signs_across_tiles", "tile_signs"]
 
 
 @dataclass(frozen=True, eq=False)
 class TileSigns:
-    """What a tile knows of the sides of its ``n`` sparse points.
+    """Consistently oriented normals of the ``n`` input points of a tile.
 
     Attributes:
         rows: ``(n,)`` int32 rows in the whole cloud.
-        core: ``(n,)`` which points are in no other tile's core.
-        normals: ``(n, 3)``, consistent within each part.
-        parts: ``(n,)`` connected part of each, numbered from 0.
-        evidence: of the parts, by the points of the core.
+        core: ``(n,)`` bool, points of the core.
+        normals: ``(n, 3)`` float32, consistent within each part.
+        parts: ``(n,)`` connected part of each point, numbered from 0.
+        evidence: for the outer side of each part, from the points of the core.
     """
 
     rows: NDArray[np.int32]
@@ -47,27 +48,34 @@ def tile_signs(
     parts: NDArray[np.intp],
     neighbours: NDArray[np.integer[Any]],
 ) -> TileSigns:
-    """The sides of a tile whose normals agree among themselves.
+    """Apply relative signs to the normals of a tile and collect evidence for the outer side.
 
     Args:
         rows: ``(n,)`` int32 rows in the whole cloud.
-        core: ``(n,)``.
-        points: ``(n, 3)``, unit scale of the whole cloud.
-        normals: ``(n, 3)`` float32 unit, of any sign.
-        signs: ``(n,)`` -1 or 1, by which those of each part agree.
-        parts: ``(n,)`` connected part of each, numbered from 0.
+        core: ``(n,)`` bool, points of the core.
+        points: ``(n, 3)`` float64, unit scale of the whole cloud.
+        normals: ``(n, 3)`` float32, unit length, of any sign.
+        signs: ``(n,)`` -1 or 1, which make the normals of each part consistent.
+        parts: ``(n,)`` connected part of each point, numbered from 0.
         neighbours: ``(n, k)`` rows of the tile.
     """
-    agreed = normals * signs[:, None].astype(np.float32)
-    evidence = collect_evidence(points, agreed, parts, int(parts.max()) + 1, neighbours, core)
-    return TileSigns(rows, core, agreed, parts, evidence)
+    oriented = normals * signs[:, None].astype(np.float32)
+    evidence = collect_evidence(points, oriented, parts, int(parts.max()) + 1, neighbours, core)
+    return TileSigns(rows, core, oriented, parts, evidence)
 
 
 def signs_across_tiles(tiles: Sequence[TileSigns]) -> list[NDArray[np.float64]]:
-    """Signs, for each tile those of its parts, by which all normals point outward together."""
+    """Determine a sign for each part of each tile, so that all normals point outward.
+
+    Args:
+        tiles: all tiles.
+
+    Returns:
+        For each tile -1 or 1 ``(parts,)`` float64.
+    """
     first = np.cumsum([0, *(len(tile.evidence.count) for tile in tiles)])
     left, right, votes = _votes(tiles, first)
-    # Many points that agree (or disagree) well make a light edge.
+    # The more points agree (or disagree), the lighter the edge.
     weights = (1.0 / (1e-3 + np.abs(votes))).astype(np.float32)
     signs, groups = spanning_tree_signs(int(first[-1]), left, right, weights, votes < 0)
     evidence = OutwardEvidence.join([tile.evidence for tile in tiles])
@@ -78,24 +86,25 @@ def signs_across_tiles(tiles: Sequence[TileSigns]) -> list[NDArray[np.float64]]:
 def _votes(
     tiles: Sequence[TileSigns], first: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Pairs of parts (the lower first) that share points, and how far these agree: cosines, summed.
+    """Pairs of parts that share points, with the sum of cosines between their normals there.
 
     Returns:
-        Both parts, numbered across tiles, and the sum of each pair.
+        Both parts, numbered across tiles, the lower first, and the sum of each pair.
     """
     count = max(int(tile.rows.max()) for tile in tiles) + 1
     owner = np.zeros(count, dtype=np.intp)
     normals = np.zeros((count, 3), dtype=np.float32)
     for tile, start in zip(tiles, first, strict=False):
-        mine = tile.rows[tile.core]
-        owner[mine] = start + tile.parts[tile.core]
-        normals[mine] = tile.normals[tile.core]
+        core_rows = tile.rows[tile.core]
+        owner[core_rows] = start + tile.parts[tile.core]
+        normals[core_rows] = tile.normals[tile.core]
     pairs, cosines = [], []
     for tile, start in zip(tiles, first, strict=False):
         shared = tile.rows[~tile.core]
-        here = start + tile.parts[~tile.core]
-        there = owner[shared]
-        pairs.append(np.minimum(here, there) * first[-1] + np.maximum(here, there))
+        margin_parts = start + tile.parts[~tile.core]
+        core_parts = owner[shared]
+        low, high = np.minimum(margin_parts, core_parts), np.maximum(margin_parts, core_parts)
+        pairs.append(low * first[-1] + high)
         cosines.append(row_dots(tile.normals[~tile.core], normals[shared]).astype(np.float64))
     found, which = np.unique(np.concatenate(pairs), return_inverse=True)
     votes = np.zeros(len(found))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of normals by the points of the answer.
+"""Relative signs of normals from the output points of a tile.
 
-These lie closer together than the input's, and their normals are learned: where a wall is as thin
-as the input is sparse, neighbours in the input are on its other side, and neighbours in the answer
-are not. The input's points, which tiles area, take their signs from them.
+Output points are denser than input points: on both sides of a wall as thin as the spacing of the
+input, the nearest neighbours of an input point lie on the other side, those of an output point do
+not. The input points, by which tiles are compared, get their signs from the output points.
 """
 
 from typing import Any
@@ -22,11 +22,6 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["orient_dense"]
 
-_ALL = 5.0  # points a chart up to which all take part
-_FAR = 1.35  # radii at which neighbours are looked for
-_WIDTH = 12  # longest list of them
-_NEAR = 6  # neighbours in the input
-
 
 def orient_dense(
     rows: NDArray[np.int32],
@@ -35,95 +30,102 @@ def orient_dense(
     normals: NDArray[np.float32],
     neighbours: NDArray[np.int32],
     area: NDArray[np.float64],
-    answer: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]],
+    output: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]],
 ) -> tuple[TileSigns, NDArray[np.float64], NDArray[np.intp]]:
-    """Let the normals of a tile's answer agree among themselves, and those of its input with them.
+    """Make the normals of the output and of the input of a tile consistent.
 
-    Neighbours in the answer are asked first; then each point of the input agrees with the answer's
-    points around it; last come neighbours in the input, which hold together what holes set apart,
-    and bring in the margin, where there is no answer.
+    First output points are joined with each other, then input points with their output points,
+    last input points with each other, which connects parts across holes and adds the margin,
+    where there are no output points.
 
     Args:
-        rows: ``(n,)`` int32 rows of the tile's input points in the whole cloud.
-        core: ``(n,)`` those that are in no other tile's core.
-        points: ``(n, 3)``, unit scale of the whole cloud.
-        normals: ``(n, 3)`` float32 unit, of any sign.
+        rows: ``(n,)`` int32 rows of the input points in the whole cloud.
+        core: ``(n,)`` bool, points of the core.
+        points: ``(n, 3)`` float64, unit scale of the whole cloud.
+        normals: ``(n, 3)`` float32, unit length, of any sign.
         neighbours: ``(n, k)`` int32 rows of the tile.
-        area: ``(n,)`` area that each stands for.
-        answer: points ``(K, 3)``, normals ``(K, 3)`` of any sign, and the input point ``(K,)`` that
-            each belongs to.
+        area: ``(n,)`` surface area of each input point.
+        output: points ``(K, 3)``, normals ``(K, 3)`` of any sign, and the nearest input point
+            ``(K,)`` of each.
 
     Returns:
-        The sides, and of the answer's points the signs -1 or 1 ``(K,)`` and the parts ``(K,)``.
+        The oriented input; signs -1 or 1 ``(K,)`` and connected parts ``(K,)`` of the output.
     """
-    dense, directions, owner = answer
+    dense, dense_normals, owner = output
     start, order = group_by_chart(owner, len(points))
-    most = TUNING.orientation_members if len(dense) > _ALL * np.count_nonzero(core) else len(dense)
+    few = len(dense) <= TUNING.orientation_complete * np.count_nonzero(core)
+    most = len(dense) if few else TUNING.orientation_members
     chosen = _members(start, order, most)
-    mine, some, ways = owner[chosen], dense[chosen], directions[chosen]
-    held = np.maximum(np.bincount(mine, minlength=len(points)), 1)
-    radius = _FAR * packing_radius(area / held)[mine]
-    # The points of the answer come after those of the input.
+    members, member_normals, member_owner = dense[chosen], dense_normals[chosen], owner[chosen]
+    per_chart = np.maximum(np.bincount(member_owner, minlength=len(points)), 1)
+    radius = TUNING.orientation_range * packing_radius(area / per_chart)[member_owner]
+    # Nodes are the input points, then the chosen output points.
     first = len(points)
-    all_points, all_normals = np.concatenate([points, some]), np.concatenate([normals, ways])
-    places = np.arange(first, first + len(mine), dtype=np.int32)
-    forest = SignedUnionFind(len(all_points))
-    near = Edges.among(some, ways, chart_neighbours(some, mine, neighbours, radius, _WIDTH))
-    join_by_consensus(forest, near.moved(first))
-    unlimited = np.zeros(len(all_points))
-    join_by_consensus(forest, Edges.between(all_points, all_normals, mine, places, unlimited))
-    if forest.parts > 1:
-        join_by_consensus(forest, Edges.among(points, normals, neighbours[:, :_NEAR]))
-    signs, parts = forest.read()
-    sides = tile_signs(rows, core, points, normals, signs[:first], parts[:first], neighbours)
-    agreed = ways * signs[first:, None].astype(np.float32)
-    all_signs, member = np.empty(len(dense)), np.empty(len(dense), dtype=np.int32)
-    _follow(dense, directions, start, order, most, some, agreed, all_signs, member)
-    return sides, all_signs, parts[first:][member]
+    node_points = np.concatenate([points, members])
+    node_normals = np.concatenate([normals, member_normals])
+    member_nodes = np.arange(first, first + len(members), dtype=np.int32)
+    union_find = SignedUnionFind(len(node_points))
+    near = chart_neighbours(members, member_owner, neighbours, radius, TUNING.orientation_edges)
+    join_by_consensus(union_find, Edges.among(members, member_normals, near).shifted(first))
+    no_limit = np.zeros(len(node_points))
+    join_by_consensus(
+        union_find, Edges.between(node_points, node_normals, member_owner, member_nodes, no_limit)
+    )
+    if union_find.parts > 1:
+        near = neighbours[:, : TUNING.orientation_input_edges]
+        join_by_consensus(union_find, Edges.among(points, normals, near))
+    signs, parts = union_find.read()
+    oriented = tile_signs(rows, core, points, normals, signs[:first], parts[:first], neighbours)
+    member_normals = member_normals * signs[first:, None].astype(np.float32)
+    dense_signs, nearest = np.empty(len(dense)), np.empty(len(dense), dtype=np.int32)
+    _follow_members(
+        dense, dense_normals, start, order, most, members, member_normals, dense_signs, nearest
+    )
+    return oriented, dense_signs, parts[first:][nearest]
 
 
 @njit(cache=True, nogil=True)
 def _members(start: NDArray[Any], order: NDArray[Any], most: int) -> NDArray[np.int32]:
-    """At most so many rows of each chart, chart by chart, spread over all that it has."""
+    """Choose at most ``most`` rows of each chart, at regular steps; sorted by chart."""
     chosen = np.empty(len(order), dtype=np.int32)
     count = 0
     for chart in range(len(start) - 1):
-        held = start[chart + 1] - start[chart]
-        wanted = min(held, most)
-        for one in range(wanted):
-            chosen[count] = order[start[chart] + one * held // wanted]
+        size = start[chart + 1] - start[chart]
+        wanted = min(size, most)
+        for step in range(wanted):
+            chosen[count] = order[start[chart] + step * size // wanted]
             count += 1
     return chosen[:count]
 
 
 @njit(cache=True, nogil=True)
-def _follow(
+def _follow_members(
     dense: NDArray[Any],
-    directions: NDArray[Any],
+    dense_normals: NDArray[Any],
     start: NDArray[Any],
     order: NDArray[Any],
     most: int,
-    some: NDArray[Any],
-    agreed: NDArray[Any],
+    members: NDArray[Any],
+    member_normals: NDArray[Any],
     signs: NDArray[Any],
-    member: NDArray[Any],
+    nearest: NDArray[Any],
 ) -> None:
-    """Sign of each point by the nearest of its chart's that took part, and which that is."""
+    """Give each output point the sign of the nearest member of its chart; writes the last two."""
     first = 0
     for chart in range(len(start) - 1):
         count = min(start[chart + 1] - start[chart], most)
         for at in range(start[chart], start[chart + 1]):
             row = order[at]
             best, least = first, np.inf
-            for one in range(first, first + count):
+            for member in range(first, first + count):
                 squared = 0.0
                 for a in range(3):
-                    squared += (some[one, a] - dense[row, a]) ** 2
+                    squared += (members[member, a] - dense[row, a]) ** 2
                 if squared < least:
-                    best, least = one, squared
+                    best, least = member, squared
             cosine = 0.0
             for a in range(3):
-                cosine += agreed[best, a] * directions[row, a]
+                cosine += member_normals[best, a] * dense_normals[row, a]
             signs[row] = -1.0 if cosine < 0.0 else 1.0
-            member[row] = best
+            nearest[row] = best
         first += count

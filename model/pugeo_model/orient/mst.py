@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of normals relative to each other: neighbours agree, along a minimum spanning tree."""
+"""Relative signs of normals along a minimum spanning tree (Hoppe et al. 1992).
+
+An edge joins two neighbouring points. Its weight is small where their normals, up to sign, agree
+with one smooth surface, and signs propagate along the edges of smallest weight (Kruskal 1956).
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,20 +15,20 @@ from numpy.typing import NDArray
 from pugeo_model.orient.signed_union_find import SignedUnionFind
 from pugeo_model.tuning import TUNING
 
-__all__ = ["Edges", "relative_signs", "row_dots", "spanning_tree_signs"]
+__all__ = ["Edges", "spanning_tree_signs"]
 
 _SHORT = TUNING.short_edge
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of points, and how their normals compare.
+    """Pairs of points with a comparison of their normals.
 
     Attributes:
-        left: ``(E,)`` int32 row at one end.
-        right: ``(E,)`` int32 row at the other.
-        weights: ``(E,)`` float32 in 0..2, the lighter the surer.
-        opposite: ``(E,)`` bool, whether the signs of the two ends differ.
+        left: ``(E,)`` int32 row of one end.
+        right: ``(E,)`` int32 row of the other end.
+        weights: ``(E,)`` float32 in 0..2, small where the comparison is reliable.
+        opposite: ``(E,)`` bool, whether one of the two normals has to be flipped.
     """
 
     left: NDArray[np.int32]
@@ -41,52 +45,40 @@ class Edges:
         right: NDArray[np.int32],
         short: NDArray[np.float64],
     ) -> "Edges":
-        """Compare normals ``(M, 3)`` of points ``(M, 3)`` along edges.
+        """Compare the normals of the two ends of given edges.
 
         Args:
-            points: float64, near the origin.
-            normals: unit length, of any sign.
-            left: ``(E,)`` row at one end of each edge.
-            right: ``(E,)`` at the other.
-            short: ``(M,)`` length below which an edge of that point is mistrusted.
+            points: ``(M, 3)`` float64, near the origin.
+            normals: ``(M, 3)`` float, unit length, of any sign.
+            left: ``(E,)`` row of one end.
+            right: ``(E,)`` row of the other end.
+            short: ``(M,)`` length below which an edge of a point is less reliable.
         """
         weights = np.empty(len(left), dtype=np.float32)
         opposite = np.empty(len(left), dtype=np.bool_)
         _compare(points, normals, left, right, short, weights, opposite)
         return cls(left, right, weights, opposite)
 
-    def moved(self, by: int) -> "Edges":
-        """The same between points that many rows further on."""
-        return replace(self, left=self.left + np.int32(by), right=self.right + np.int32(by))
+    def shifted(self, offset: int) -> "Edges":
+        """Return the edges with ``offset`` added to all rows."""
+        offset32 = np.int32(offset)
+        return replace(self, left=self.left + offset32, right=self.right + offset32)
 
     @classmethod
     def among(
         cls, points: NDArray[Any], normals: NDArray[Any], neighbours: NDArray[np.integer[Any]]
     ) -> "Edges":
-        """Compare neighbours, each pair once.
+        """Create the edges between neighbours, each pair once.
 
         Args:
             points: ``(M, 3)`` float64, near the origin.
             normals: ``(M, 3)`` float, unit length, of any sign.
-            neighbours: ``(M, k)`` rows near each point; others than ``0..M-1`` are skipped.
+            neighbours: ``(M, k)`` rows near each point; numbers outside ``0..M-1`` are skipped.
         """
         left, right = np.empty((2, neighbours.size), dtype=np.int32)
         short = np.empty(len(points))
         count = _pairs(points, neighbours, left, right, short)
         return cls.between(points, normals, left[:count], right[:count], short)
-
-
-def relative_signs(
-    points: NDArray[Any], normals: NDArray[Any], neighbours: NDArray[np.integer[Any]]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Make neighbours agree; arguments as of `Edges.among`.
-
-    Returns:
-        Signs -1 or 1 ``(M,)``, consistent within each connected part, and the part ``(M,)`` of
-        each point, numbered from 0.
-    """
-    edges = Edges.among(points, normals, neighbours)
-    return spanning_tree_signs(len(points), edges.left, edges.right, edges.weights, edges.opposite)
 
 
 def spanning_tree_signs(
@@ -96,27 +88,22 @@ def spanning_tree_signs(
     weights: NDArray[np.float32],
     opposite: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Signs of nodes along the lightest edges that join them (Kruskal's algorithm).
+    """Determine signs of nodes along a minimum spanning tree (Kruskal 1956).
 
     Args:
         count: number of nodes.
         left: ``(E,)`` node at one end of each edge.
-        right: ``(E,)`` at the other; edges to numbers outside ``0..count-1`` are skipped.
-        weights: ``(E,)``, none negative.
-        opposite: ``(E,)`` whether the signs of the two ends differ.
+        right: ``(E,)`` node at the other end; edges to numbers outside ``0..count-1`` are skipped.
+        weights: ``(E,)`` float32, non-negative.
+        opposite: ``(E,)`` bool, whether the signs of the two ends differ.
 
     Returns:
-        As `SignedUnionFind.read`: signs -1 or 1 ``(count,)`` and the part ``(count,)`` of each node.
+        Signs -1 or 1 ``(count,)`` and the connected part ``(count,)`` of each node, see
+        `SignedUnionFind.read`.
     """
-    forest = SignedUnionFind(count)
-    forest.join(left, right, opposite, _by_weight(weights.view(np.uint32)))
-    return forest.read()
-
-
-def row_dots(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Products of rows, ``(N,)``."""
-    products: NDArray[Any] = np.einsum("ij,ij->i", left, right)
-    return products
+    union_find = SignedUnionFind(count)
+    union_find.join(left, right, opposite, _by_weight(weights.view(np.uint32)))
+    return union_find.read()
 
 
 @njit(cache=True, nogil=True)
@@ -127,7 +114,7 @@ def _pairs(
     right: NDArray[Any],
     short: NDArray[Any],
 ) -> int:
-    """Write each pair of neighbours once, and for each point what is a short edge there."""
+    """Write each pair of neighbours once, and the length of a short edge at each point."""
     count, width = neighbours.shape
     found = 0
     for i in range(count):
@@ -162,11 +149,11 @@ def _compare(
     weights: NDArray[Any],
     opposite: NDArray[Any],
 ) -> None:
-    """Weights of the edges, and whether normals disagree there.
+    """Weights of edges, and whether the two normals point to opposite sides.
 
-    The left normal is reflected in the plane midway between both points before it is compared,
-    which on a circle gives the right normal exactly. Plain dot products would orient both sides
-    of a thin wall the same way.
+    The left normal is reflected in the plane midway between the points before the comparison; on
+    a circle this gives the right normal exactly. Dot products without the reflection would orient
+    both sides of a thin wall the same way.
     """
     for at in range(len(left)):
         i, j = left[at], right[at]
@@ -182,8 +169,8 @@ def _compare(
         cosine = -2.0 * here * there
         for a in range(3):
             cosine += normals[i, a] * normals[j, a]
-        # Two points that noise has put above each other look like the two sides of a wall.
-        # Such edges are short; the edges that go around a sharp rim are of common length.
+        # Two points that noise puts above each other look like the two sides of a wall. Such
+        # edges are short, while edges around a sharp rim have the usual length.
         ratio = min(short[i], short[j]) * inverse
         shortness = min(ratio * ratio * ratio * ratio, 1.0) if length > 0.0 else 1.0
         steepness = max(here * here, there * there)
@@ -193,9 +180,9 @@ def _compare(
 
 @njit(cache=True, nogil=True)
 def _by_weight(bits: NDArray[np.uint32]) -> NDArray[np.int32]:
-    """Stable order of float32 numbers, none negative, by their upper bits, eight at a time.
+    """Stable radix sort of non-negative float32 numbers by the upper half of their bits.
 
-    Which of two edges comes first that differ by less than a hundredth decides nothing.
+    The order of two weights that differ by less than 1 % does not matter.
     """
     order = np.arange(len(bits)).astype(np.int32)
     other = np.empty_like(order)

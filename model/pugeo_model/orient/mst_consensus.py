@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs by two spanning trees, and a vote where they differ.
+"""Relative signs from two spanning trees, with a vote where they differ.
 
-A tree hangs whole regions on one edge, and the lightest edge between the two faces of a wall may be
-wrong where most are right. Which edge that is, small changes of the weights decide. So two trees
-are grown, the second with weights changed by chance; the regions in which they agree with each
-other are all that is doubtful, and what these are to each other all edges between them decide.
+In a spanning tree one edge decides the sign of a whole region, and the lightest edge between the
+two faces of a wall may be wrong although most are right. Two trees are therefore built, the second
+one with randomly changed weights. Regions within which both trees agree keep their signs, and all
+edges between two regions vote on their relative sign.
 
-Before that come the edges that are sure, about half of all: no order of theirs changes much.
+About half of the edges are reliable and are joined before, in any order, which saves time.
 """
 
 from typing import Any
@@ -20,31 +20,30 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["join_by_consensus"]
 
-_HEAVY = 0.1  # weight of an edge whose vote counts half
 
-
-def join_by_consensus(forest: SignedUnionFind, edges: Edges) -> None:
-    """Join the parts of a forest along edges, and let those be outvoted that are wrong.
+def join_by_consensus(union_find: SignedUnionFind, edges: Edges) -> None:
+    """Join parts along edges; edges that contradict the majority are ignored.
 
     Args:
-        forest: whose parts stay as they are within themselves.
-        edges: between its nodes.
+        union_find: parts; the relative signs within each are not changed.
+        edges: edges between its nodes.
     """
-    rows = forest.join_sure(
+    rows = union_find.join_sure(
         edges.left, edges.right, edges.opposite, edges.weights, TUNING.sure_edges
     )
     if not len(rows):
         return
-    # From here on the parts that are left are the nodes.
-    turned, part = forest.read()
+    # From here on the remaining parts are the nodes.
+    node_signs, part = union_find.read()
     left, right = edges.left[rows], edges.right[rows]
-    opposite = edges.opposite[rows] ^ (turned[left] != turned[right])
-    signs, groups = _by_votes(forest.parts, part[left], part[right], edges.weights[rows], opposite)
-    lowest = forest.lowest()
-    # The first node of each group has its sign.
+    opposite = edges.opposite[rows] ^ (node_signs[left] != node_signs[right])
+    weights = edges.weights[rows]
+    signs, groups = _by_votes(union_find.parts, part[left], part[right], weights, opposite)
+    lowest = union_find.lowest()
+    # The first part of each group has the sign of the group.
     first = np.empty(groups.max() + 1, dtype=np.intp)
     first[groups[::-1]] = lowest[::-1]
-    forest.join(first[groups], lowest, signs < 0)
+    union_find.join(first[groups], lowest, signs < 0)
 
 
 def _by_votes(
@@ -54,31 +53,31 @@ def _by_votes(
     weights: NDArray[np.float32],
     opposite: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Arguments and answer as of `spanning_tree_signs`."""
-    chance = np.random.default_rng(0).standard_exponential(len(weights), dtype=np.float32)
+    """Signs and connected parts by two trees and a vote; arguments as `spanning_tree_signs`."""
+    factors = np.random.default_rng(0).standard_exponential(len(weights), dtype=np.float32)
     signs, parts = spanning_tree_signs(count, left, right, weights, opposite)
-    other, _ = spanning_tree_signs(count, left, right, weights * chance, opposite)
+    other, _ = spanning_tree_signs(count, left, right, weights * factors, opposite)
     differs = signs != other
-    alike = np.flatnonzero(differs[left] == differs[right])
-    agreed = SignedUnionFind(count)
-    agreed.join(left, right, np.zeros_like(opposite), alike)
-    region = agreed.read()[1]
+    consistent = np.flatnonzero(differs[left] == differs[right])
+    regions = SignedUnionFind(count)
+    regions.join(left, right, np.zeros_like(opposite), consistent)
+    region = regions.read()[1]
     between = np.flatnonzero(region[left] != region[right])
     if not len(between):
         return signs, parts
-    votes = 1.0 / (1.0 + weights[between] / _HEAVY)
+    votes = 1.0 / (1.0 + weights[between] / TUNING.half_vote)
     left, right = left[between], right[between]
-    agree = np.where(opposite[between], -signs[left], signs[left]) * signs[right]
-    pairs, value = _summed(region[left], region[right], agree * votes)
-    weights = (1.0 / (1e-12 + np.abs(value))).astype(np.float32)
-    turned, groups = spanning_tree_signs(int(region.max()) + 1, *pairs, weights, value < 0)
-    return signs * turned[region], groups[region]
+    agreement = np.where(opposite[between], -signs[left], signs[left]) * signs[right]
+    pairs, total = _sum_by_pair(region[left], region[right], agreement * votes)
+    weights = (1.0 / (1e-12 + np.abs(total))).astype(np.float32)
+    region_signs, groups = spanning_tree_signs(int(region.max()) + 1, *pairs, weights, total < 0)
+    return signs * region_signs[region], groups[region]
 
 
-def _summed(
+def _sum_by_pair(
     left: NDArray[np.intp], right: NDArray[np.intp], votes: NDArray[np.float64]
 ) -> tuple[tuple[NDArray[Any], NDArray[Any]], NDArray[np.float64]]:
-    """Each pair once, and the sum of its votes."""
+    """Distinct pairs (in any order of their ends) and the sum of the votes of each."""
     total = max(int(left.max()), int(right.max())) + 1
     keys = np.minimum(left, right) * total + np.maximum(left, right)
     pairs, which = np.unique(keys, return_inverse=True)

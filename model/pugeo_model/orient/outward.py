@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which side of a part of the surface is outside, once its normals agree among themselves.
+"""The outer side of each connected part of a surface whose normals are consistent.
 
-What speaks for a side is summed up for each part in a few numbers that can be added, so that a
-cloud cut into tiles comes to the same verdict as one in one piece.
+The evidence of each part is a few sums, which can be added over tiles, so that a cloud in tiles
+and the same cloud in one piece are oriented the same way. The main evidence is the enclosed
+volume by the divergence theorem: ``3 V = sum_i a_i x_i . n_i`` with areas a, points x, normals n.
 """
 
 from dataclasses import dataclass, fields
@@ -12,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.orient.mst import row_dots
+from pugeo_model.orient.signs import row_dots
 from pugeo_model.tuning import TUNING
 
 __all__ = ["OutwardEvidence", "collect_evidence", "outward_signs"]
@@ -20,18 +21,18 @@ __all__ = ["OutwardEvidence", "collect_evidence", "outward_signs"]
 
 @dataclass(frozen=True, eq=False)
 class OutwardEvidence:
-    """Sums over the points of each of ``P`` parts; a part may have none.
+    """Sums over the points of each of ``P`` parts; a part may have no points.
 
     Attributes:
-        count: ``(P,)`` points.
-        position: ``(P, 3)`` of the points.
-        normal: ``(P, 3)`` of the normals.
-        area: ``(P,)`` that the points stand for, up to a common factor.
-        flux: ``(P, 3)`` of area times normal.
-        volume: ``(P,)`` of area times position along the normal.
-        scale: ``(P,)`` of area times distance from the part's centre.
-        ends: ``(P, 3, 2)`` lowest and highest coordinate of each axis.
-        end_normals: ``(P, 3, 2)`` along that axis, of the normals there.
+        count: ``(P,)`` number of points.
+        position: ``(P, 3)`` sum of positions.
+        normal: ``(P, 3)`` sum of normals.
+        area: ``(P,)`` sum of areas, up to a common factor.
+        flux: ``(P, 3)`` sum of area times normal.
+        volume: ``(P,)`` sum of area times dot product of position and normal.
+        scale: ``(P,)`` sum of area times distance from the centre of the part.
+        ends: ``(P, 3, 2)`` lowest and highest coordinate along each axis.
+        end_normals: ``(P, 3, 2)`` component along that axis of the normal at that point.
     """
 
     count: NDArray[np.float64]
@@ -46,7 +47,7 @@ class OutwardEvidence:
 
     @classmethod
     def join(cls, several: "list[OutwardEvidence]") -> "OutwardEvidence":
-        """The parts of all, one after the other."""
+        """Concatenate the parts of several tiles."""
         return cls(
             *(np.concatenate([getattr(each, f.name) for each in several]) for f in fields(cls))
         )
@@ -60,15 +61,15 @@ def collect_evidence(
     neighbours: NDArray[np.integer[Any]],
     core: NDArray[np.bool_],
 ) -> OutwardEvidence:
-    """Sum up what speaks for a side.
+    """Compute the evidence of each part.
 
     Args:
-        points: ``(M, 3)``.
+        points: ``(M, 3)`` float64.
         normals: ``(M, 3)``, consistent within each part.
-        parts: ``(M,)`` in ``0..total-1``.
+        parts: ``(M,)`` part of each point, in ``0..total-1``.
         total: number of parts.
         neighbours: ``(M, k)`` rows.
-        core: ``(M,)`` points that count.
+        core: ``(M,)`` bool, points that count.
     """
     area = _areas(points, neighbours)[core]
     points, parts = points[core], parts[core]
@@ -82,7 +83,7 @@ def collect_evidence(
     count = np.bincount(parts, minlength=total).astype(np.float64)
     position = summed(points)
     centre = position / np.maximum(count, 1.0)[:, None]
-    arms = points - centre[parts]
+    offsets = points - centre[parts]
     ends = np.stack([np.full((total, 3), np.inf), np.full((total, 3), -np.inf)], axis=2)
     end_normals = np.zeros((total, 3, 2))
     _find_ends(points, normals, parts, ends, end_normals)
@@ -93,7 +94,7 @@ def collect_evidence(
         area=summed(area),
         flux=summed(area[:, None] * normals),
         volume=summed(area * row_dots(points, normals)),
-        scale=summed(area * np.sqrt(row_dots(arms, arms))),
+        scale=summed(area * np.sqrt(row_dots(offsets, offsets))),
         ends=ends,
         end_normals=end_normals,
     )
@@ -102,15 +103,18 @@ def collect_evidence(
 def outward_signs(
     evidence: OutwardEvidence, groups: NDArray[np.intp], signs: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Sign of each group of parts as a whole, ``(groups,)``.
+    """Determine the sign of each group of parts.
 
-    By the sign of its volume where it encloses one; else by the normals of its six outermost
-    points; else, where it is flat and these cancel out, upward.
+    The sign of the enclosed volume decides; if there is no clear one, the normals at the six
+    outermost points; if these cancel out, as on a flat part, the normals are oriented upward.
 
     Args:
         evidence: of ``P`` parts.
         groups: ``(P,)`` group of each part, numbered from 0.
-        signs: ``(P,)`` by which the normals of each part are multiplied first.
+        signs: ``(P,)`` -1 or 1, relative signs of the parts within their group.
+
+    Returns:
+        -1 or 1 ``(groups,)``.
     """
     total = int(groups.max()) + 1
 
@@ -121,11 +125,12 @@ def outward_signs(
 
     count = np.maximum(summed(evidence.count), 1.0)[:, None]
     centre = summed(evidence.position) / count
-    here = centre[groups]
-    volume = summed(signs * (evidence.volume - row_dots(here, evidence.flux)))
-    own = evidence.position / np.maximum(evidence.count, 1.0)[:, None]
-    apart = np.where(evidence.count > 0, np.linalg.norm(own - here, axis=1), 0.0)
-    scale = summed(np.hypot(evidence.scale, evidence.area * apart))
+    group_centre = centre[groups]
+    volume = summed(signs * (evidence.volume - row_dots(group_centre, evidence.flux)))
+    part_centre = evidence.position / np.maximum(evidence.count, 1.0)[:, None]
+    distance = np.linalg.norm(part_centre - group_centre, axis=1)
+    distance = np.where(evidence.count > 0, distance, 0.0)
+    scale = summed(np.hypot(evidence.scale, evidence.area * distance))
     outermost = np.zeros(total)
     for axis in range(3):
         for end, direction in enumerate((-1.0, 1.0)):
@@ -135,8 +140,9 @@ def outward_signs(
     mean = summed(signs[:, None] * evidence.normal) / count
     upward = mean @ np.array([0.01, 0.1, 1.0])
     closed = np.abs(volume) > TUNING.clear_volume * scale
-    verdict = np.where(closed, volume, np.where(np.abs(outermost) > 0.5, outermost, upward))
-    return np.where(verdict < 0, -1.0, 1.0)
+    clear = np.abs(outermost) > TUNING.clear_extremes
+    decision = np.where(closed, volume, np.where(clear, outermost, upward))
+    return np.where(decision < 0, -1.0, 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -147,7 +153,7 @@ def _find_ends(
     ends: NDArray[Any],
     end_normals: NDArray[Any],
 ) -> None:
-    """Lowest and highest coordinate of each part, and the normals there."""
+    """Find the lowest and highest coordinates of each part and the normals there."""
     for i in range(len(points)):
         part = parts[i]
         for axis in range(3):
@@ -161,7 +167,7 @@ def _find_ends(
 
 @njit(cache=True, nogil=True)
 def _areas(points: NDArray[Any], neighbours: NDArray[Any]) -> NDArray[np.float64]:
-    """Area that each point stands for, up to a common factor: squared distance to neighbours."""
+    """Area of each point, up to a common factor: mean squared distance to its neighbours."""
     count = len(points)
     areas = np.empty(count)
     for i in range(count):

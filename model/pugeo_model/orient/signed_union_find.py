@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes joined into parts, each with a sign: union-find that knows who is turned over."""
+"""Union-find with parity: connected parts of nodes with the relative sign of each node."""
 
 from typing import Any
 
@@ -11,15 +11,18 @@ __all__ = ["SignedUnionFind"]
 
 
 class SignedUnionFind:
-    """Parts of ``count`` nodes, within each of which signs are known relative to each other.
+    """Connected parts of nodes, with relative signs within each part (union-find with parity).
 
     Args:
-        count: number of nodes, each at first a part of its own.
+        count: number of nodes; each is a part of its own at first.
+
+    Attributes:
+        parts: current number of parts.
     """
 
     def __init__(self, count: int) -> None:
-        # Twice the row that a node leads to, and one more if the signs of the two differ: one look
-        # into memory instead of two. The root of a part is its lowest row.
+        # Twice the row of the parent, plus one if the signs of node and parent differ: one memory
+        # access instead of two. The root of a part is its lowest row.
         self._links = 2 * np.arange(count, dtype=np.int32)
         self.parts = count
 
@@ -30,13 +33,13 @@ class SignedUnionFind:
         opposite: NDArray[np.bool_],
         order: NDArray[np.integer[Any]] | None = None,
     ) -> None:
-        """Join parts along edges; an edge within a part is passed over, whatever it says.
+        """Join parts along edges, in order; edges within a part are ignored.
 
         Args:
             left: ``(E,)`` node at one end of each edge.
-            right: ``(E,)`` at the other; edges to numbers outside ``0..count-1`` are skipped.
-            opposite: ``(E,)`` whether the signs of the two ends differ.
-            order: rows of the edges to go along, in turn; all as they come if ``None``.
+            right: ``(E,)`` node at the other end; numbers outside ``0..count-1`` are skipped.
+            opposite: ``(E,)`` bool, whether the signs of the two ends differ.
+            order: rows of the edges to use, in this order; by default all.
         """
         order = np.arange(len(left)) if order is None else order
         self.parts -= _join(self._links, left, right, opposite, order, self.parts - 1)
@@ -49,17 +52,17 @@ class SignedUnionFind:
         weights: NDArray[np.float32],
         levels: tuple[float, ...],
     ) -> NDArray[np.int32]:
-        """Join parts along edges that weigh at most so much, as they come, level by level.
+        """Join parts along all edges up to a weight, for several weights in turn.
 
         Args:
             left: ``(E,)`` node at one end of each edge.
-            right: ``(E,)`` at the other, in ``0..count-1`` too.
-            opposite: ``(E,)`` whether the signs of the two ends differ.
-            weights: ``(E,)``.
-            levels: ascending.
+            right: ``(E,)`` node at the other end, in ``0..count-1``.
+            opposite: ``(E,)`` bool, whether the signs of the two ends differ.
+            weights: ``(E,)`` float32.
+            levels: largest weights, ascending.
 
         Returns:
-            Rows of the edges, ascending, that lie between two parts after it.
+            Rows of the edges between different parts afterwards, ascending.
         """
         most = np.array(levels, dtype=np.float32)
         joined, between = _join_sure(self._links, left, right, opposite, weights, most)
@@ -67,13 +70,13 @@ class SignedUnionFind:
         return between
 
     def lowest(self) -> NDArray[np.intp]:
-        """The lowest row of each part, ascending."""
+        """Return the lowest row of each part, ascending."""
         return np.flatnonzero(self._links >> 1 == np.arange(len(self._links)))
 
     def read(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Signs -1 or 1 and parts of all nodes, ``(count,)`` each.
+        """Return the signs -1 or 1 and the parts of all nodes, ``(count,)`` each.
 
-        The sign of the lowest row of each part is 1; parts are numbered in the order of these rows.
+        The lowest row of each part has the sign 1; parts are numbered in the order of these rows.
         """
         signs, parts = np.empty(len(self._links)), np.empty(len(self._links), dtype=np.intp)
         _read(self._links, signs, parts)
@@ -82,7 +85,7 @@ class SignedUnionFind:
 
 @njit(cache=True, nogil=True)
 def _root(links: NDArray[np.int32], row: int) -> int:
-    """Link of a row to the root of its part; shortens the way there."""
+    """Link of a row to the root of its part, with path halving."""
     flip = 0
     link = links[row]
     while link >> 1 != row:
@@ -95,9 +98,9 @@ def _root(links: NDArray[np.int32], row: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _unite(links: NDArray[np.int32], here: int, there: int, opposite: int) -> None:
-    """Join the parts of two roots, whose links these are."""
-    low, high = min(here, there), max(here, there)
+def _unite(links: NDArray[np.int32], one: int, other: int, opposite: int) -> None:
+    """Join two parts, given the links of two nodes to their roots."""
+    low, high = min(one, other), max(one, other)
     links[high >> 1] = (low & -2) + ((low ^ high ^ opposite) & 1)
 
 
@@ -108,18 +111,19 @@ def _join(
     right: NDArray[Any],
     opposite: NDArray[Any],
     order: NDArray[Any],
-    apart: int,
+    most: int,
 ) -> int:
+    """Join along edges until ``most`` joins are made; returns their number."""
     count, joined = len(links), 0
     for edge in order:
-        if joined == apart:
+        if joined == most:
             break
         i, j = left[edge], right[edge]
         if not 0 <= j < count:
             continue
-        here, there = _root(links, i), _root(links, j)
-        if here >> 1 != there >> 1:
-            _unite(links, here, there, opposite[edge])
+        one, other = _root(links, i), _root(links, j)
+        if one >> 1 != other >> 1:
+            _unite(links, one, other, opposite[edge])
             joined += 1
     return joined
 
@@ -133,20 +137,21 @@ def _join_sure(
     weights: NDArray[Any],
     levels: NDArray[np.float32],
 ) -> tuple[int, NDArray[np.int32]]:
+    """Join level by level; returns the number of joins and the edges between parts."""
     joined, kept = 0, len(left)
     rows = np.arange(len(left)).astype(np.int32)
     for most in levels:
         heavier = 0
         for at in range(kept):
             edge = rows[at]
-            # Not "heavier": a weight that is no number is not sure.
+            # "not <=" instead of ">", so that an edge with weight NaN is not joined.
             if not weights[edge] <= most:
                 rows[heavier] = edge
                 heavier += 1
                 continue
-            here, there = _root(links, left[edge]), _root(links, right[edge])
-            if here >> 1 != there >> 1:
-                _unite(links, here, there, opposite[edge])
+            one, other = _root(links, left[edge]), _root(links, right[edge])
+            if one >> 1 != other >> 1:
+                _unite(links, one, other, opposite[edge])
                 joined += 1
         kept = heavier
     between = 0
@@ -160,12 +165,13 @@ def _join_sure(
 
 @njit(cache=True, nogil=True)
 def _read(links: NDArray[np.int32], signs: NDArray[Any], parts: NDArray[Any]) -> None:
+    """Write the signs and parts of all nodes."""
     total = 0
     for i in range(len(links)):
         link = _root(links, i)
         root = link >> 1
         signs[i] = -1.0 if link & 1 else 1.0
-        # The root is the lowest row of its part, so it has come already.
+        # The root is the lowest row of its part, so its number is known already.
         if root == i:
             parts[i] = total
             total += 1

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From candidates of all charts to exactly the points wanted, evenly spread. No torch."""
+"""Selection of exactly the requested number of evenly distributed points. No torch."""

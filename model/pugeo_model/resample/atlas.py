@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charts of a tile side by side (the atlas), and the points that are projected onto them."""
+"""The charts of a tile (the atlas), and queries and results of projection onto them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ __all__ = [
 ]
 
 BLENDED_CHARTS = TUNING.blended_charts
-"""Number of nearest charts that a point of the answer is blended from."""
+"""Number of nearest charts that are blended at an output point."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatchCharts:
-    """Charts of a patch's core and what they propose.
+    """The charts of the core of a patch, with their candidates.
 
     Attributes:
-        rows: ``(n,)`` int32 rows in the cloud.
-        candidates: ``(n, c, 3)`` float32 offsets from the points, cloud frame, unit scale, on the
-            tangent planes.
-        T: ``(n, 3, 3)`` float32, in canonical frames.
-        code: ``(n, width)`` float16, what the surface head needs of the feature.
-        lift: ``(n,)`` float32, in spacings.
+        rows: ``(n,)`` int32 rows of the prepared tile.
+        candidates: ``(n, c, 3)`` float32 offsets of the candidates from the points, on the
+            tangent planes; frame of the cloud, unit scale.
+        T: ``(n, 3, 3)`` float32 augmented Jacobians (eq. 5), in canonical frames.
+        code: ``(n, width)`` float16, input of the surface head.
+        lift: ``(n,)`` float32 height of the chart above the tangent plane, in spacings.
     """
 
     rows: NDArray[np.int32]
@@ -46,13 +46,13 @@ class PatchCharts:
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """Charts of a tile, rows as its points.
+    """All charts of a tile, in the order of its points.
 
     Attributes:
         points: ``(M, 3)`` float64, unit scale.
-        frames: of the points.
-        candidates, T, code, lift: as in :class:`PatchCharts`, of the points that got charts. These
-            lead.
+        frames: canonical frames of the points.
+        candidates, T, code, lift: as in :class:`PatchCharts`, of the leading points, which have
+            charts.
     """
 
     points: NDArray[np.float64]
@@ -66,12 +66,12 @@ class Atlas:
     def of(
         cls, points: NDArray[np.float64], frames: Frames, charts: Sequence[PatchCharts]
     ) -> "Atlas":
-        """Put the charts of all patches side by side, in the order of the points.
+        """Join the charts of all patches, in the order of the points.
 
         Args:
             points: ``(M, 3)`` float64, unit scale.
-            frames: of the ``M`` points.
-            charts: of all patches, in any order; together their rows are those that lead.
+            frames: canonical frames of the ``M`` points.
+            charts: charts of all patches, in any order; together they cover the leading rows.
         """
         parts = sorted(charts, key=lambda part: int(part.rows[0]))
         return cls(
@@ -92,7 +92,7 @@ class ProjectionQuery:
         atlas: the charts.
         points: ``(m, 3)`` float64, unit scale.
         charts: ``(m, k)`` int32 rows of the atlas, nearest first.
-        fixed: number of leading points that stay in place and only get normals.
+        fixed: number of leading points that keep their positions and only get normals.
     """
 
     atlas: Atlas
@@ -107,9 +107,9 @@ class Projected:
 
     Attributes:
         points: ``(m, 3)`` float64, unit scale.
-        normals: ``(m, 3)`` float32 unit, sign that of the nearest chart's frame.
-        error: ``(m,)`` float32, expected by the charts themselves, in spacings.
-        nearest: ``(m,)`` int32 row in the cloud of the nearest input point.
+        normals: ``(m, 3)`` float32, unit length, with the sign of the nearest chart's frame.
+        error: ``(m,)`` float32 error that the charts predict, in spacings.
+        nearest: ``(m,)`` int32 row of the nearest input point.
     """
 
     points: NDArray[np.float64]
@@ -118,19 +118,19 @@ class Projected:
     nearest: NDArray[np.int32]
 
     def take(self, rows: NDArray[np.integer[Any]] | slice) -> "Projected":
-        """The points of the given rows, in that order."""
+        """Return the given rows, in that order."""
         return Projected(
             self.points[rows], self.normals[rows], self.error[rows], self.nearest[rows]
         )
 
 
 def charts_per_candidate(candidates: int) -> int:
-    """Number of charts that a candidate is projected onto, 1 or 2.
+    """Return the number of charts that a candidate is projected onto, 1 or 2.
 
-    Fewer than `BLENDED_CHARTS` suffice: survivors are projected again. Where a chart has many
-    candidates, those between charts matter less.
+    Fewer than `BLENDED_CHARTS` suffice, since survivors are projected again. If each chart has
+    many candidates, the error between charts matters less.
 
     Args:
-        candidates: of each chart.
+        candidates: candidates per chart.
     """
     return 2 if candidates < TUNING.many_candidates else 1

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Neighbours among samples that know their chart: no tree, and density never matters.
+"""Neighbours among samples grouped by chart.
 
-A sample's neighbours belong to its own chart or to charts of that chart's nearest points, so a
-handful of short lists is searched whatever the density there.
+The neighbours of a sample belong to its own chart or to the charts next to it, so only a few
+short lists are searched, at any density, and no tree is built.
 """
 
 import numpy as np
@@ -15,7 +15,16 @@ __all__ = ["chart_neighbours", "group_by_chart"]
 def group_by_chart(
     owner: NDArray[np.int32], charts: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Samples sorted by chart: starts ``(charts + 1,)`` and sample rows ``(K,)``, ascending."""
+    """Group samples by chart (counting sort).
+
+    Args:
+        owner: ``(K,)`` int32 chart of each sample.
+        charts: number of charts.
+
+    Returns:
+        Start of each chart ``(charts + 1,)`` int64 in the sample rows ``(K,)`` int32, which
+        ascend within each chart.
+    """
     start = np.zeros(charts + 1, dtype=np.int64)
     order = np.empty(len(owner), dtype=np.int32)
     _sort(owner, start, order)
@@ -29,14 +38,14 @@ def chart_neighbours(
     radius: NDArray[np.float64],
     most: int,
 ) -> NDArray[np.int32]:
-    """Samples within radius of each sample, nearest charts searched first.
+    """Find the samples within a radius of each sample.
 
     Args:
-        samples: ``(K, 3)``.
-        owner: ``(K,)`` chart of each.
-        neighbours: ``(M, k)`` charts near each chart, nearest first.
-        radius: ``(K,)`` distance.
-        most: longest list.
+        samples: ``(K, 3)`` float64.
+        owner: ``(K,)`` int32 chart of each sample.
+        neighbours: ``(M, k)`` charts near each chart, nearest first; searched in this order.
+        radius: ``(K,)`` largest distance.
+        most: length of the longest list; further neighbours are dropped.
 
     Returns:
         ``(K, most)`` int32 rows, ``-1`` beyond the end of a list.
@@ -61,7 +70,7 @@ def _sort(owner, start, order):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _spheres(start, order, samples):  # type: ignore[no-untyped-def]
-    """Centre and radius of what each chart holds, so that most charts are passed at one look."""
+    """Bounding sphere of the samples of each chart ``(charts, 4)``, to skip most charts quickly."""
     charts = len(start) - 1
     spheres = np.zeros((charts, 4))
     for chart in range(charts):
@@ -83,14 +92,14 @@ def _spheres(start, order, samples):  # type: ignore[no-untyped-def]
             c = samples[order[at], 2] - z
             most = max(most, a * a + b * b + c * c)
         spheres[chart, 0], spheres[chart, 1], spheres[chart, 2] = x, y, z
-        # Rounding must not cost a neighbour, here or where distances are float32.
+        # Slightly larger, so that rounding to float32 drops no neighbour.
         spheres[chart, 3] = np.sqrt(most) * (1.0 + 1e-6)
     return spheres
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _flag(x, y, z, limit, count, xs, ys, zs, within):  # type: ignore[no-untyped-def]
-    """Which of the leading ``count`` samples are within the limit: a loop without a branch."""
+    """Flag the leading ``count`` samples within the squared limit; vectorised, without a branch."""
     for at in range(count):
         a = xs[at] - x
         b = ys[at] - y
@@ -100,10 +109,10 @@ def _flag(x, y, z, limit, count, xs, ys, zs, within):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows):  # type: ignore[no-untyped-def]
-    """What the charts around one hold, its own samples first; returns how many.
+    """Gather the samples of a chart, then of the charts around it; returns their number.
 
-    Places are float32 and relative to the chart: distances lose nothing that matters, and the
-    processor takes sixteen at a time.
+    Coordinates are float32 relative to the chart: precise enough, and the processor compares
+    sixteen at a time.
     """
     x, y, z = spheres[chart, 0], spheres[chart, 1], spheres[chart, 2]
     count = 0
@@ -117,14 +126,14 @@ def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, z
             j = order[at]
             a, b, c = samples[j, 0] - x, samples[j, 1] - y, samples[j, 2] - z
             rows[count], xs[count], ys[count], zs[count] = j, a, b, c
-            # Without a branch: what is out of everyone's radius is written over.
+            # Without a branch: a sample beyond every radius is overwritten by the next one.
             count += a * a + b * b + c * c <= widest * widest
     return count
 
 
 @njit(cache=True, nogil=True)
 def _longest(start, neighbours):  # type: ignore[no-untyped-def]
-    """Most samples that a chart and those around it hold."""
+    """Largest number of samples in a chart and the charts around it."""
     longest = 0
     for chart in range(len(neighbours)):
         total = start[chart + 1] - start[chart]
@@ -136,26 +145,26 @@ def _longest(start, neighbours):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _chart_neighbours(samples, neighbours, radius, start, order, found):  # type: ignore[no-untyped-def]
-    """All samples of a chart look at one list, gathered once."""
+    """Search chart by chart: all samples of a chart share one gathered list."""
     most = found.shape[1]
     spheres = _spheres(start, order, samples)
-    room = _longest(start, neighbours) + most
-    places = np.empty((3, room), dtype=np.float32)
-    xs, ys, zs = places[0], places[1], places[2]
-    rows, close = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-    within = np.empty(room, dtype=np.uint8)
+    capacity = _longest(start, neighbours) + most
+    offsets = np.empty((3, capacity), dtype=np.float32)
+    xs, ys, zs = offsets[0], offsets[1], offsets[2]
+    rows, close = np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int32)
+    within = np.empty(capacity, dtype=np.uint8)
     for chart in range(len(neighbours)):
-        own_samples = order[start[chart] : start[chart + 1]]
-        if len(own_samples) == 0:
+        members = order[start[chart] : start[chart + 1]]
+        if len(members) == 0:
             continue
-        widest = spheres[chart, 3] + radius[own_samples].max()
+        widest = spheres[chart, 3] + radius[members].max()
         count = _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, zs, rows)
-        for own in range(len(own_samples)):
-            i = own_samples[own]
+        for member in range(len(members)):
+            i = members[member]
             limit = np.float32(radius[i] * radius[i])
-            _flag(xs[own], ys[own], zs[own], limit, count, xs, ys, zs, within)
-            within[own] = 0
-            # Written without a branch, which would be guessed wrong for every other one.
+            _flag(xs[member], ys[member], zs[member], limit, count, xs, ys, zs, within)
+            within[member] = 0
+            # Without a branch, since the processor would mispredict it half of the time.
             filled = 0
             for at in range(count):
                 close[filled] = rows[at]

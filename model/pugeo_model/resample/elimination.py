@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weighted sample elimination (Yuksel 2015): from many candidates to an even subset.
+"""Weighted sample elimination (Yuksel 2015): an even subset of many candidates.
 
-Every candidate weighs the more the closer its neighbours are; the heaviest is removed and its
-neighbours lightened until the wanted number is left. Evenness is local: each candidate has its
-own radius, so a sparse region is thinned as evenly as a dense one. Ties go to the lower row, so
-the result depends on the input alone.
+A candidate i has the weight ``w_i = sum_j (1 - max(d_ij / r, floor))^8`` over its neighbours j,
+where d is the distance and r the larger packing radius of the two. The heaviest candidate is
+removed and its contribution subtracted from its neighbours, until the requested number is left.
+Each candidate has its own radius, so that sparse and dense regions are thinned equally. Of equal
+weights the lower row is removed first, so that the result is deterministic.
 """
 
 from collections.abc import Callable
@@ -17,11 +18,15 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["eliminate", "packing_radius"]
 
-_BUCKET_BITS = 14  # of a float32 that do not matter for its bucket: 512 buckets an octave
+_BUCKET_BITS = 14  # low bits of a float32 that its bucket ignores: 512 buckets per octave
 
 
 def packing_radius(area: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of neighbours in the hexagonal packing that gives each survivor ``area``."""
+    """Return the distance of neighbours in a hexagonal packing with ``area`` per point.
+
+    Args:
+        area: any shape, squared length units.
+    """
     radius: NDArray[np.float64] = np.sqrt(area * (2.0 / np.sqrt(3.0)))
     return radius
 
@@ -35,44 +40,50 @@ def eliminate(
     counted: NDArray[np.bool_] | None = None,
     level: Callable[[NDArray[np.bool_]], NDArray[np.float64]] | None = None,
 ) -> NDArray[np.int64]:
-    """Rows of the survivors, in ascending order.
+    """Select an even subset.
 
     Args:
         points: ``(C, 3)`` float64.
-        neighbours: ``(C, k)`` int32 rows, then ``-1``. Mutual, but for lists that are full: who is
-            on a list and does not have it on its own is not lightened when it goes.
-        radius: ``(C,)`` distance within which candidates crowd each other.
-        keep: number of survivors among those counted, of which there are as many at least.
-        penalty: ``(C,)`` >= 0, added to a candidate's weight: untrusted ones go first. A factor
-            would not do: an outlier has no neighbours, and its weight is next to nothing.
-        counted: ``(C,)`` who is counted, ``None`` for all: the others, of a margin, are thinned
-            alongside for as long as it takes.
-        level: asked once, near the end, with ``(C,)`` who is left: factors ``(C,)`` > 0 of all
-            weights from then on. Where they are large, more go.
+        neighbours: ``(C, k)`` int32 rows, then ``-1``. Lists are symmetric unless they are full;
+            a missing entry only means that a weight is not reduced.
+        radius: ``(C,)`` packing radius of each candidate.
+        keep: number of survivors among the counted candidates.
+        penalty: ``(C,)`` >= 0, added to the weights, so that unreliable candidates are removed
+            first. It is no factor, since an outlier has no neighbours and thus hardly any weight.
+        counted: ``(C,)`` candidates that count, by default all; those of a margin do not, but are
+            thinned at the same rate.
+        level: called once near the end with the remaining candidates ``(C,)``; returns factors
+            ``(C,)`` > 0 of the weights from then on. Large factors remove more candidates.
+
+    Returns:
+        Rows of the survivors, ascending.
+
+    Raises:
+        ValueError: there are fewer than ``keep`` counted candidates.
     """
     counted = np.ones(len(points), dtype=np.bool_) if counted is None else counted
-    there = int(np.count_nonzero(counted))
-    if not 0 <= keep <= there:
-        raise ValueError(f"keep must lie in 0..{there}, not {keep}")
+    remaining = int(np.count_nonzero(counted))
+    if not 0 <= keep <= remaining:
+        raise ValueError(f"keep must lie in 0..{remaining}, not {keep}")
     extra = np.zeros(len(points)) if penalty is None else penalty
-    # Weight limiting (section 3.2 there): without it the closest pairs decide alone, and the
-    # survivors' spacing varies by 11 % instead of 8 %.
-    floor = TUNING.weight_limit * (1.0 - (keep / max(there, 1)) ** TUNING.weight_limit_power)
+    # Weight limiting (section 3.2 there), so that the closest pairs do not decide alone.
+    floor = TUNING.weight_limit * (1.0 - (keep / max(remaining, 1)) ** TUNING.weight_limit_power)
     key = extra.astype(np.float64)
     weights = _weigh(points, neighbours, radius, floor, key)
     alive, factor = np.ones(len(points), dtype=np.bool_), np.ones(len(points))
-    nearly = min(int(TUNING.levelling_at * keep), there)
-    if level is not None and nearly > keep:
-        _thin(neighbours, weights, counted, there - nearly, key, alive, factor)
+    levelled = min(int(TUNING.levelling_at * keep), remaining)
+    if level is not None and levelled > keep:
+        _thin(neighbours, weights, counted, remaining - levelled, key, alive, factor)
         factor = level(alive)
         key *= factor
-        there = nearly
-    _thin(neighbours, weights, counted, there - keep, key, alive, factor)
+        remaining = levelled
+    _thin(neighbours, weights, counted, remaining - keep, key, alive, factor)
     return np.flatnonzero(alive)
 
 
 @njit(cache=True, nogil=True)
 def _sift_down(keys, rows, size, at):  # type: ignore[no-untyped-def]
+    """Restore the order of a binary max-heap below ``at``."""
     key, row = keys[at], rows[at]
     while True:
         child = 2 * at + 1
@@ -92,14 +103,14 @@ def _sift_down(keys, rows, size, at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _bucket(key):  # type: ignore[no-untyped-def]
-    """Number of the bucket of a key: never lower for a heavier key, and finer for light ones."""
+    """Bucket of a key: monotonic in the key, with a width proportional to it."""
     bits = np.float32(max(key, 0.0)).view(np.int32) & np.int32(0x7FFFFFFF)
     return bits >> np.int32(_BUCKET_BITS)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _weigh(points, neighbours, radius, floor, key):  # type: ignore[no-untyped-def]
-    """What each neighbour weighs, ``(C, k)``; all of it is added to the keys."""
+    """Weights of the neighbours of each candidate ``(C, k)``; their sums are added to ``key``."""
     weights = np.empty(neighbours.shape, dtype=np.float32)
     inverse = 1.0 / radius
     for i in range(len(neighbours)):
@@ -112,11 +123,11 @@ def _weigh(points, neighbours, radius, floor, key):  # type: ignore[no-untyped-d
             y = points[i, 1] - points[j, 1]
             z = points[i, 2] - points[j, 2]
             near = np.sqrt(x * x + y * y + z * z) * min(inverse[j], inverse[i])
-            share = 1.0 - max(near, floor)
-            share = max(share, 0.0)
-            share *= share
-            share *= share
-            weights[i, at] = share * share
+            weight = 1.0 - max(near, floor)
+            weight = max(weight, 0.0)
+            weight *= weight
+            weight *= weight
+            weights[i, at] = weight * weight
             total += weights[i, at]
         key[i] += total
     return weights
@@ -124,7 +135,7 @@ def _weigh(points, neighbours, radius, floor, key):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True)
 def _fill_buckets(key, alive):  # type: ignore[no-untyped-def]
-    """Linked lists of candidates: the first of each bucket, and the next after each candidate."""
+    """Linked lists of the candidates of each bucket: heads, and successors of candidates."""
     top = 0
     for i in range(len(key)):
         if alive[i]:
@@ -139,14 +150,15 @@ def _fill_buckets(key, alive):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put(first, after, key, row):  # type: ignore[no-untyped-def]
+    """Insert a candidate into the list of its bucket."""
     bucket = _bucket(key[row])
     after[row] = first[bucket]
     first[bucket] = row
 
 
 @njit(cache=True, nogil=True)
-def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
-    """Make a heap of what still belongs into the bucket ``top``; returns its size."""
+def _heapify_bucket(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
+    """Make a heap of the candidates that still belong into bucket ``top``; returns its size."""
     size = 0
     row = first[top]
     while row >= 0:
@@ -164,11 +176,11 @@ def _open(top, first, after, key, keys, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _thin(neighbours, weights, counted, surplus, key, alive, factor):  # type: ignore[no-untyped-def]
-    """Remove the heaviest until there is no surplus.
+    """Remove the heaviest candidates until ``surplus`` of those counted are removed.
 
-    Keys only ever fall, so the heaviest are found bucket by bucket, and a candidate that has
-    become lighter is put where it belongs only when it is met: one heap of all, kept in order at
-    every change, takes twice as long.
+    Keys only decrease, so the heaviest candidates are found bucket by bucket, and a candidate
+    whose key decreased is moved when it is reached. A heap of all candidates that is updated at
+    each change takes twice as long.
     """
     first, after = _fill_buckets(key, alive)
     keys, rows = np.empty(len(key)), np.empty(len(key), dtype=np.int32)
@@ -176,7 +188,7 @@ def _thin(neighbours, weights, counted, surplus, key, alive, factor):  # type: i
     while surplus > 0:
         if size == 0:
             top -= 1
-            size = _open(top, first, after, key, keys, rows)
+            size = _heapify_bucket(top, first, after, key, keys, rows)
             continue
         row = rows[0]
         belongs = _bucket(key[row]) == top

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tangential repulsion: survivors of the elimination settle into even spacing."""
+"""Tangential repulsion: survivors of the elimination are moved to an even spacing.
+
+A point i moves by ``step r_i P_i sum_j w(d_ij)^2 u_ij min(a + b / d_ij^2, c)``, limited in length,
+where P_i projects onto its tangent plane, ``u_ij`` is the unit vector from point j, ``d_ij`` the
+distance in units of the range, and ``w(d) = max(1 - d, 0)``.
+"""
 
 import numpy as np
 from numba import njit
@@ -11,11 +16,11 @@ __all__ = ["repel"]
 
 _STEP = TUNING.repulsion_step
 _RANGE = TUNING.repulsion_range
-_PUSH = 0.7  # of the push of those at common distances
-_SQUEEZED = 0.06  # over the square of the distance in ranges: neighbours would hold a pair together
-_HARDEST = 10.0  # of samples that share a spot, as it were
-_LIMIT = 0.25  # of the radius: the furthest move in one round
-_TINY = 1e-300  # squared distance of samples in one place, which do not push
+_STRENGTH = TUNING.repulsion_strength
+_CLOSE = TUNING.repulsion_close
+_MOST = TUNING.repulsion_most
+_LIMIT = TUNING.repulsion_limit
+_TINY = 1e-300  # squared distance of coincident samples, which do not push each other
 
 
 def repel(
@@ -27,35 +32,37 @@ def repel(
 ) -> NDArray[np.float64]:
     """Move samples apart within their tangent planes.
 
-    The push rises steeply where two are much too close: else the neighbours of a pair, which push
-    from all sides, hold it together.
-
-    Samples across a crease push like all others: without them those along it were pushed over it,
-    and came down among those of the other side.
+    The push increases steeply at small distances, since otherwise the neighbours of a close pair
+    keep it together. Samples across a crease push too: without them, samples along the crease
+    would be pushed over it.
 
     Args:
-        samples: ``(K, 3)``.
-        normals: ``(K, 3)`` unit.
-        neighbours: ``(K, k)`` rows, ``-1`` where there is none.
-        radius: ``(K,)`` distance of neighbours in the packing aimed at.
-        rounds: how often.
+        samples: ``(K, 3)`` float64.
+        normals: ``(K, 3)`` float32, unit length.
+        neighbours: ``(K, k)`` int32 rows, then ``-1``.
+        radius: ``(K,)`` packing radius; samples with 0 are not moved.
+        rounds: number of repetitions.
+
+    Returns:
+        ``(K, 3)`` float64.
     """
-    now, after = samples.copy(), np.empty_like(samples)
+    current, moved = samples.copy(), np.empty_like(samples)
     for _ in range(rounds):
-        _push(now, normals, neighbours, radius, after)
-        now, after = after, now
-    return now
+        _push(current, normals, neighbours, radius, moved)
+        current, moved = moved, current
+    return current
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _push(samples, normals, neighbours, radius, after):  # type: ignore[no-untyped-def]
+def _push(samples, normals, neighbours, radius, moved):  # type: ignore[no-untyped-def]
+    """One round of repulsion; writes the new positions into ``moved``."""
     for i in range(len(samples)):
         here = samples[i, 0], samples[i, 1], samples[i, 2]
-        after[i, 0], after[i, 1], after[i, 2] = here
+        moved[i, 0], moved[i, 1], moved[i, 2] = here
         if radius[i] == 0.0:
             continue
         inverse = 1.0 / (_RANGE * radius[i])
-        squeezed = _SQUEEZED / (inverse * inverse)
+        close = _CLOSE / (inverse * inverse)
         a = b = c = 0.0
         for at in range(neighbours.shape[1]):
             j = neighbours[i, at]
@@ -66,9 +73,9 @@ def _push(samples, normals, neighbours, radius, after):  # type: ignore[no-untyp
             z = here[2] - samples[j, 2]
             squared = max(x * x + y * y + z * z, _TINY)
             per = 1.0 / np.sqrt(squared)
-            # No branch: which of them are beyond the range is not to be guessed.
+            # Without a branch, since the processor could not predict it.
             w = max(1.0 - squared * per * inverse, 0.0)
-            w *= w * per * min(_PUSH + squeezed * per * per, _HARDEST)
+            w *= w * per * min(_STRENGTH + close * per * per, _MOST)
             a += w * x
             b += w * y
             c += w * z
@@ -81,6 +88,6 @@ def _push(samples, normals, neighbours, radius, after):  # type: ignore[no-untyp
         size = np.sqrt(a * a + b * b + c * c)
         limit = _LIMIT * radius[i]
         shrink = limit / size if size > limit else 1.0
-        after[i, 0] += shrink * a
-        after[i, 1] += shrink * b
-        after[i, 2] += shrink * c
+        moved[i, 0] += shrink * a
+        moved[i, 1] += shrink * b
+        moved[i, 2] += shrink * c

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of two tiles that came too close to each other.
+"""Separation of output points of different tiles that are too close to each other.
 
-Tiles see the same candidates along their border, and mostly keep the same. But each thins its own
-to a number of its own, and where one keeps a candidate that the other drops, two of the answer's
-points can come to lie on one spot. Once both are known they are pushed apart.
+Neighbouring tiles have the same candidates along their border and mostly select the same. But
+each tile selects its own number, and where one keeps a candidate that the other drops, two output
+points may nearly coincide. They are pushed apart when both tiles are known.
 """
 
 from collections.abc import Sequence
@@ -19,22 +19,17 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["BorderPoints", "separate"]
 
-_CLOSE = 0.8  # radii: points of one tile are rarely nearer, so who is nearer is the nearest
-_AROUND = 1.5  # radii around such a point within which the others make room
-_SEEN = 3.0  # radii within which there may be who pushes them
-_NEIGHBOURS = 14
-
 
 @dataclass(frozen=True, eq=False)
 class BorderPoints:
-    """The ``k`` points of a tile that lie along its border.
+    """The ``k`` output points of a tile along its border.
 
     Attributes:
-        rows: ``(k,)`` int32, rows of the tile's answer.
+        rows: ``(k,)`` int32, rows of the tile's output.
         points: ``(k, 3)`` float64, unit scale of the whole cloud.
-        normals: ``(k, 3)`` float32 unit.
-        radius: ``(k,)`` float64, distance of neighbours in the packing aimed at; 0 of who stays.
-        outermost: ``(k,)`` which may have one of another tile as their nearest.
+        normals: ``(k, 3)`` float32, unit length.
+        radius: ``(k,)`` float64 packing radius; 0 for points that must not move.
+        outermost: ``(k,)`` bool, points whose nearest point may belong to another tile.
     """
 
     rows: NDArray[np.int32]
@@ -44,24 +39,27 @@ class BorderPoints:
     outermost: NDArray[np.bool_]
 
 
-def separate(rims: Sequence[BorderPoints]) -> list[NDArray[np.float64]]:
-    """Push points of two tiles apart that are too close, and what is around them out of the way.
+def separate(borders: Sequence[BorderPoints]) -> list[NDArray[np.float64]]:
+    """Push points of different tiles apart that are too close, and the points around them.
+
+    Args:
+        borders: of all tiles that have border points.
 
     Returns:
-        ``(k, 3)`` float64 of each rim; most are where they were.
+        New positions ``(k, 3)`` float64 for each tile; most are unchanged.
     """
-    if not rims:
+    if not borders:
         return []
     points, normals, radius, outermost = (
-        np.concatenate([getattr(rim, name) for rim in rims])
+        np.concatenate([getattr(border, name) for border in borders])
         for name in ("points", "normals", "radius", "outermost")
     )
-    sizes = [len(rim.points) for rim in rims]
+    sizes = [len(border.points) for border in borders]
     if len(points) > 1:
-        tile = np.repeat(np.arange(len(rims)), sizes)
-        some, push, lists = _too_close(points, radius, tile, np.flatnonzero(outermost))
-        if len(some):
-            points[some] = repel(points[some], normals[some], lists, push, TUNING.repulsion_rounds)
+        tile = np.repeat(np.arange(len(borders)), sizes)
+        rows, push, lists = _too_close(points, radius, tile, np.flatnonzero(outermost))
+        if len(rows):
+            points[rows] = repel(points[rows], normals[rows], lists, push, TUNING.repulsion_rounds)
     return np.split(points, np.cumsum(sizes)[:-1])
 
 
@@ -71,24 +69,28 @@ def _too_close(
     tile: NDArray[np.int64],
     outermost: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
-    """Rows of the points around those too close to one of another tile; how they push and whom.
+    """Find the points that are too close to another tile, and the points around them.
 
-    They are few, so that most are asked for no neighbour at all.
+    Returns:
+        Rows of these points (few), their packing radii (0 if they push but do not move), and
+        their neighbours, as rows of the first array.
     """
     distance, near = knn(cKDTree(points), points[outermost], 2)
-    # Not always the second: of two on one spot either may come first.
+    # Either of two coincident points may come first, so column 0 is not always the point itself.
     other = np.where(near[:, 0] == outermost, near[:, 1], near[:, 0])
-    # Who stays has no radius: that of the next counts.
+    # A fixed point has radius 0; the radius of its neighbour is used instead.
     local = radius.copy()
     local[outermost] = np.maximum(radius[outermost], radius[other])
     foreign = tile[other] != tile[outermost]
-    close = outermost[foreign & (distance[:, 1] < _CLOSE * local[outermost])]
+    close = outermost[foreign & (distance[:, 1] < TUNING.seam_close * local[outermost])]
     if not len(close):
         return close, np.empty(0), np.empty((0, 0), dtype=np.int32)
-    apart, which = knn(cKDTree(points[close]), points, 1, _SEEN * radius.max())
-    apart, local = apart[:, 0], np.maximum(local, np.append(local[close], 0.0)[which[:, 0]])
-    some = np.flatnonzero(apart < _SEEN * local)
-    push = np.where(apart[some] < _AROUND * local[some], radius[some], 0.0)
-    _, lists = knn(cKDTree(points[some]), points[some], min(_NEIGHBOURS + 1, len(some)))
-    # Each is on its own list, which pushes it nowhere.
-    return some, push, lists.astype(np.int32)
+    pushing = TUNING.seam_pushing
+    gap, which = knn(cKDTree(points[close]), points, 1, pushing * radius.max())
+    gap, local = gap[:, 0], np.maximum(local, np.append(local[close], 0.0)[which[:, 0]])
+    rows = np.flatnonzero(gap < pushing * local)
+    push = np.where(gap[rows] < TUNING.seam_moved * local[rows], radius[rows], 0.0)
+    count = min(TUNING.seam_neighbours + 1, len(rows))
+    _, lists = knn(cKDTree(points[rows]), points[rows], count)
+    # Each point is in its own list; at distance 0 it does not push.
+    return rows, push, lists.astype(np.int32)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The merge: landed candidates to exactly the number wanted, and the charts nearest to each."""
+"""Selection of the output points: sample elimination among candidates, then repulsion."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.areas import neighbour_mean
@@ -11,18 +10,11 @@ from pugeo_model.resample.elimination import eliminate, packing_radius
 from pugeo_model.resample.repulsion import repel
 from pugeo_model.tuning import TUNING
 
-__all__ = ["nearest_charts", "select", "spread_evenly"]
+__all__ = ["select", "spread_evenly"]
 
-_NEAR_CHARTS = 12  # charts searched around a sample
-_CROWD = 16  # longest neighbour list among candidates, denser than the survivors
-_SETTLED = 14  # among survivors
-_CHANCE = 1e-5  # largest penalty that the seed draws: enough for another sample, not a worse one
-_PLACES = 2.0**20  # a unit of length: finer than any sample, coarser than rounding errors
-_SPREAD = 0xBF58476D1CE4E5B9  # an odd constant of splitmix64, which spreads bits well
-_PINNED = -1e9  # penalty of points that must survive: no weight comes near it
-_FAR = 1.4  # radii at which survivors are looked for: they push within 1.3, and move
-_ERROR_ROUNDS = 8  # rounds of averaging expected errors over neighbours
-_LOCAL = 2  # times that the number left of each chart is
+_GRID = 2.0**20  # cells per unit of length: finer than any sample, coarser than rounding errors
+_MULTIPLIER = 0xBF58476D1CE4E5B9  # of splitmix64 (Steele, Lea and Flood 2014)
+_PINNED = -1e9  # penalty of points that must survive, far below any weight
 
 
 def select(
@@ -38,76 +30,75 @@ def select(
     core: NDArray[np.bool_] | None = None,
     charted: int | None = None,
     *,
-    all_stay: bool = False,
+    keep_all: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
-    """Where the output points go: eliminate, then let the survivors settle.
+    """Select exactly the wanted number of candidates, then move them to an even spacing.
 
     Args:
-        candidates: ``(C, 3)`` float64, landed on the surface.
-        normals: ``(C, 3)`` float32 unit.
-        error: ``(C,)`` float32 that each expects of itself, in spacings.
-        owner: ``(C,)`` int32 nearest chart of each.
-        wanted: number of points of the core's charts, at most as many as their candidates.
-        area: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        candidates: ``(C, 3)`` float64, on the surface.
+        normals: ``(C, 3)`` float32, unit length.
+        error: ``(C,)`` float32 predicted error, in spacings.
+        owner: ``(C,)`` int32 nearest chart.
+        wanted: number of points of the core's charts, at most the number of their candidates.
+        area: ``(M,)`` surface area of each chart, see :mod:`~pugeo_model.geometry.areas`.
         neighbours: ``(M, k)`` charts near each chart.
-        seed: decides between candidates that are as good as each other.
-        pinned: points ``(n, 3)`` and normals ``(n, 3)`` of the charts' own points, where these may
-            be among the ``wanted`` and then stay where they are.
-        core: ``(M,)`` charts whose points are wanted, ``None`` for all; the others are a margin
-            that keeps the core's border even.
-        charted: of the ``M`` so many lead that have candidates, by default all: the others are only
-            there to be looked past.
-        all_stay: all that are pinned are among the ``wanted``, even or not.
+        seed: each seed gives another sample.
+        pinned: points ``(n, 3)`` and normals ``(n, 3)`` of the leading charts' own points, if
+            these may be selected; they are not moved.
+        core: ``(M,)`` charts whose points are wanted, by default all; the others are a margin
+            that makes the border of the core even.
+        charted: number of leading charts that have candidates, by default all.
+        keep_all: select all pinned points of the core.
 
     Returns:
-        Of the core: the charts whose own points stay, ascending; the other queries, float64; and the
-        owner of each of these, int32.
+        Of the core: the charts whose own points are selected, ascending int32; the other points
+        ``(K, 3)`` float64; and the owner of each of these, int32.
     """
     core = np.ones(len(area), dtype=np.bool_) if core is None else core
-    near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
-    there = np.arange(len(area)) < (len(area) if charted is None else charted)
+    near = np.ascontiguousarray(neighbours[:, : TUNING.searched_charts])
+    has_chart = np.arange(len(area)) < (len(area) if charted is None else charted)
     radius = packing_radius(area * (np.count_nonzero(core) / wanted))
-    usual = float(
+    limit = float(
         TUNING.usual_error * (wanted / np.count_nonzero(core)) ** TUNING.usual_error_power
     )
-    usual = min(max(usual, TUNING.usual_error_least), TUNING.usual_error_most)
-    penalty = _error_penalty(error.astype(np.float64), owner, near, there, usual)
-    penalty += _CHANCE * _draw(candidates, seed)
-    held = 0
+    limit = min(max(limit, TUNING.usual_error_least), TUNING.usual_error_most)
+    penalty = _error_penalty(error.astype(np.float64), owner, near, has_chart, limit)
+    penalty += TUNING.seed_penalty * _random(candidates, seed)
+    pins = 0
     if pinned is not None:
-        held = len(pinned[0])
-        owner = np.concatenate([np.arange(held, dtype=np.int32), owner])
+        pins = len(pinned[0])
+        owner = np.concatenate([np.arange(pins, dtype=np.int32), owner])
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
-        penalty = np.concatenate([np.full(held, _PINNED if all_stay else 0.0), penalty])
+        penalty = np.concatenate([np.full(pins, _PINNED if keep_all else 0.0), penalty])
 
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """What a region has kept too many of weighs more: doubt and thin walls thin some out."""
+        """Raise the weights where penalties or thin walls left too many candidates."""
         left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
-        density = _around(left, there, neighbours, _LOCAL) / left[core].mean()
-        weight: NDArray[np.float64] = np.clip(density, 0.5, 2.0)[owner] ** TUNING.levelling_power
-        return weight
+        mean = _masked_mean(left, has_chart, neighbours, TUNING.levelling_rounds)
+        density = np.clip(mean / left[core].mean(), *TUNING.levelling_bounds)
+        factor: NDArray[np.float64] = density[owner] ** TUNING.levelling_power
+        return factor
 
     kept = eliminate(
         candidates,
-        chart_neighbours(
-            candidates, owner, near, radius[owner], _CROWD
-        ),  # not kept: they are large
+        # The lists are large and have no name, so that they are freed early.
+        chart_neighbours(candidates, owner, near, radius[owner], TUNING.elimination_neighbours),
         radius[owner],
         wanted,
         penalty,
         core[owner],
         level,
     )
-    queries, owner = candidates[kept], owner[kept]
-    first = int(np.searchsorted(kept, held))
+    points, owner = candidates[kept], owner[kept]
+    kept_pins = int(np.searchsorted(kept, pins))
     push = radius[owner]
-    push[:first] = 0.0  # pushes, and is not pushed
-    queries = _settle(queries, normals[kept], owner, near, radius, push, TUNING.repulsion_rounds)
-    mine = core[owner]
-    stay = owner[:first][mine[:first]]
-    mine[:first] = False
-    return stay, queries[mine], owner[mine]
+    push[:kept_pins] = 0.0  # pinned points push others and do not move
+    points = _repel(points, normals[kept], owner, near, radius, push, TUNING.repulsion_rounds)
+    in_core = core[owner]
+    kept_inputs = owner[:kept_pins][in_core[:kept_pins]]
+    in_core[:kept_pins] = False
+    return kept_inputs, points[in_core], owner[in_core]
 
 
 def spread_evenly(
@@ -118,26 +109,29 @@ def spread_evenly(
     neighbours: NDArray[np.int32],
     core: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """One round of repulsion among points that have landed, ``(K, 3)``.
+    """Apply one round of repulsion to projected points.
 
-    Charts of a noisy input disagree, so that landing moves what had settled. Points next to a
-    margin stay, since those beyond it are not here to push back.
+    The charts of a noisy input differ, so that projection disturbs the even spacing. Points next
+    to a margin are not moved, since the points of the other tile that would push back are absent.
 
     Args:
-        points: ``(K, 3)`` of the core's charts.
-        normals: ``(K, 3)`` unit.
-        owner: ``(K,)`` nearest chart of each.
-        area: ``(M,)`` area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        points: ``(K, 3)`` float64, of the core's charts.
+        normals: ``(K, 3)`` float32, unit length.
+        owner: ``(K,)`` int32 nearest chart.
+        area: ``(M,)`` surface area of each chart, see :mod:`~pugeo_model.geometry.areas`.
         neighbours: ``(M, k)`` charts near each chart.
-        core: ``(M,)`` charts whose points these are.
+        core: ``(M,)`` bool, charts of the core.
+
+    Returns:
+        ``(K, 3)`` float64.
     """
-    near = np.ascontiguousarray(neighbours[:, :_NEAR_CHARTS])
+    near = np.ascontiguousarray(neighbours[:, : TUNING.searched_charts])
     radius = packing_radius(area * (np.count_nonzero(core) / len(points)))
     push = np.where(core[near].all(axis=1), radius, 0.0)[owner]
-    return _settle(points, normals, owner, near, radius, push, 1)
+    return _repel(points, normals, owner, near, radius, push, 1)
 
 
-def _settle(
+def _repel(
     points: NDArray[np.float64],
     normals: NDArray[np.float32],
     owner: NDArray[np.int32],
@@ -146,34 +140,40 @@ def _settle(
     push: NDArray[np.float64],
     rounds: int,
 ) -> NDArray[np.float64]:
-    """Points ``(K, 3)`` pushed apart: ``radius`` of charts, ``push`` of points, 0 of who stays."""
-    lists = chart_neighbours(points, owner, near, _FAR * radius[owner], _SETTLED)
+    """Find neighbours and repel points ``(K, 3)``.
+
+    Args:
+        radius: ``(M,)`` packing radius of each chart, for the search.
+        push: ``(K,)`` packing radius of each point, 0 for fixed points.
+    """
+    search = TUNING.repulsion_search * radius[owner]
+    lists = chart_neighbours(points, owner, near, search, TUNING.repulsion_neighbours)
     return repel(points, normals, lists, push, rounds)
 
 
-def _draw(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Numbers in 0..1, ``(C,)``, that a select and the seed decide.
+def _random(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Random numbers in 0..1, ``(C,)``: a hash of position and seed (mixing step of splitmix64).
 
-    And not the row: a candidate in the margins of several tiles draws the same in all of them.
+    They do not depend on rows, so that a candidate has the same number in all tiles.
     """
-    drawn = np.full(len(points), seed, dtype=np.uint64)
-    for column in np.rint(points.T * _PLACES).astype(np.int64).view(np.uint64):
-        drawn ^= column
-        drawn *= np.uint64(_SPREAD)
-        drawn ^= drawn >> np.uint64(29)
-    return drawn / 2.0**64
+    hashes = np.full(len(points), seed, dtype=np.uint64)
+    for column in np.rint(points.T * _GRID).astype(np.int64).view(np.uint64):
+        hashes ^= column
+        hashes *= np.uint64(_MULTIPLIER)
+        hashes ^= hashes >> np.uint64(29)
+    return hashes / 2.0**64
 
 
-def _around(
+def _masked_mean(
     values: NDArray[np.float64],
-    there: NDArray[np.bool_],
+    valid: NDArray[np.bool_],
     neighbours: NDArray[np.int32],
-    times: int,
+    rounds: int,
 ) -> NDArray[np.float64]:
-    """Means over those neighbours that are ``there``, of means, and so on; see `neighbour_mean`."""
-    sums: NDArray[np.float64] = neighbour_mean(np.where(there, values, 0.0), neighbours, times)
-    if not there.all():
-        sums /= np.maximum(neighbour_mean(there.astype(np.float64), neighbours, times), 1e-12)
+    """Repeated means over the valid neighbours, ``(M,)``; see `neighbour_mean`."""
+    sums: NDArray[np.float64] = neighbour_mean(np.where(valid, values, 0.0), neighbours, rounds)
+    if not valid.all():
+        sums /= np.maximum(neighbour_mean(valid.astype(np.float64), neighbours, rounds), 1e-12)
     return sums
 
 
@@ -181,79 +181,19 @@ def _error_penalty(
     error: NDArray[np.float64],
     owner: NDArray[np.int32],
     near: NDArray[np.int32],
-    there: NDArray[np.bool_],
-    usual: float,
+    has_chart: NDArray[np.bool_],
+    limit: float,
 ) -> NDArray[np.float64]:
-    """Burden of candidates that expect more than ``usual`` times the error usual around them.
+    """Penalty ``(C,)`` of candidates with more than ``limit`` times the mean error around them.
 
-    Compared with their surroundings, not with the whole cloud: where all are unsure, as along an
-    edge, a penalty on all would only tear a hole. But with wide ones: at the rim of a fin all are
-    unsure, and some are beyond it.
+    The comparison is local: where all errors are large, as along an edge, a penalty on all
+    candidates would leave a hole. The neighbourhood is wide: at the rim of a fin all errors are
+    large, but only some candidates lie beyond the rim.
     """
     charts = len(near)
     count = np.maximum(np.bincount(owner, minlength=charts), 1)
-    around = _around(np.bincount(owner, error, charts) / count, there, near, _ERROR_ROUNDS)
-    excess = error / np.maximum(around[owner], 1e-12) - usual
+    chart_error = np.bincount(owner, error, charts) / count
+    mean = _masked_mean(chart_error, has_chart, near, TUNING.error_rounds)
+    excess = error / np.maximum(mean[owner], 1e-12) - limit
     penalty: NDArray[np.float64] = TUNING.error_penalty * np.maximum(excess, 0.0)
     return penalty
-
-
-def nearest_charts(
-    queries: NDArray[np.float64],
-    owner: NDArray[np.int32],
-    points: NDArray[np.float64],
-    neighbours: NDArray[np.int32],
-    count: int,
-    charted: int | None = None,
-) -> NDArray[np.int32]:
-    """The ``count`` charts nearest to each spot among its owner and that one's neighbours.
-
-    Args:
-        queries: ``(K, 3)``.
-        owner: ``(K,)`` chart of each.
-        points: ``(M, 3)``.
-        neighbours: ``(M, k)`` points near each point.
-        count: how many charts. The owner stands in for those that are not there.
-        charted: of the points so many lead that have charts, by default all.
-    """
-    found = np.empty((len(queries), count), dtype=np.int32)
-    charted = len(points) if charted is None else charted
-    _nearest_charts(queries, owner, points, neighbours[:, :_NEAR_CHARTS], charted, found)
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _nearest_charts(queries, owner, points, neighbours, charted, found):  # type: ignore[no-untyped-def]
-    count, k = found.shape[1], neighbours.shape[1]
-    best = np.empty(count)
-    charts = np.empty(k + 1, dtype=np.int32)
-    around = np.empty((3, k + 1))
-    squared = np.empty(k + 1)
-    before = -1
-    for i in range(len(queries)):
-        if owner[i] != before:
-            # Spots mostly come chart by chart: what is around one is looked up once.
-            before = owner[i]
-            charts[0], charts[1:] = before, neighbours[before]
-            for near in range(k + 1):
-                for a in range(3):
-                    around[a, near] = points[charts[near], a]
-        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
-        for near in range(k + 1):
-            a = x - around[0, near]
-            b = y - around[1, near]
-            c = z - around[2, near]
-            squared[near] = a * a + b * b + c * c
-        best[:] = np.inf
-        found[i, :] = before
-        for near in range(k + 1):
-            d = squared[near]
-            if d >= best[count - 1] or charts[near] >= charted:
-                continue
-            at = count - 1
-            while at > 0 and d < best[at - 1]:
-                best[at] = best[at - 1]
-                found[i, at] = found[i, at - 1]
-                at -= 1
-            best[at] = d
-            found[i, at] = charts[near]

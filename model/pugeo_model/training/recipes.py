@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recipes as files: all that a run depends on besides the meshes, in TOML."""
+"""Recipe files (TOML): all settings of a training run besides the meshes."""
 
 import tomllib
 from collections.abc import Mapping
@@ -20,15 +20,18 @@ _TABLES: dict[str, Any] = {"architecture": Architecture, "mix": Mix, "weights": 
 
 
 def available_recipes() -> list[str]:
-    """Names of the recipes of the released weights."""
+    """Return the names of the recipes of the released weights."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def read_recipe(name_or_path: str) -> Recipe:
-    """A recipe by its name, or from a file; what a file leaves out is as in ``Recipe``.
+    """Read a recipe by name or from a file; missing keys have the defaults of `Recipe`.
+
+    Args:
+        name_or_path: name of a recipe of released weights, or path of a ``.toml`` file.
 
     Raises:
-        BadOptionError: no such recipe, or it holds what no recipe has.
+        BadOptionError: no such recipe, or a key or table is invalid.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
@@ -52,6 +55,7 @@ def read_recipe(name_or_path: str) -> Recipe:
 
 
 def _table(path: Path, name: str, raw: Any) -> Any:
+    """Convert a table of the file to its dataclass."""
     if not isinstance(raw, Mapping):
         raise BadOptionError(f"{path}: {name} must be a table", value=name)
     values = dict(raw)
@@ -61,11 +65,12 @@ def _table(path: Path, name: str, raw: Any) -> Any:
 
 
 def _make(path: Path, kind: Any, values: dict[str, Any]) -> Any:
+    """Construct a dataclass; unknown keys are an error."""
     known = [field.name for field in fields(kind)]
     unknown = sorted(set(values) - set(known))
     if unknown:
         raise BadOptionError(
-            f"{path}: {unknown[0]!r} is unknown; there are {', '.join(known)}",
+            f"{path}: {unknown[0]!r} is unknown; known keys are {', '.join(known)}",
             value=unknown[0],
             allowed=known,
         )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""bfloat16 as numba sees it: the bits of it, since it knows no such number.
+"""Conversion of bfloat16 to and from its bits, since numba does not support the type.
 
-They are the upper half of a float32's.
+The bits of a bfloat16 are the upper half of those of a float32.
 """
 
 from typing import Any
@@ -17,13 +17,13 @@ _KINDS = {2: torch.int16, 4: torch.int32, 8: torch.int64}
 
 
 def bits(tensor: Tensor) -> Any:
-    """Bits of the numbers, as integers of their size that share their memory."""
+    """Return a numpy view of a tensor as integers of the same size, sharing its memory."""
     return tensor.view(_KINDS[tensor.element_size()]).numpy()
 
 
 @njit(inline="always")
 def to_bfloat16(value):  # type: ignore[no-untyped-def]
-    """Bits of the bfloat16 nearest to a float32, ties to even."""
+    """Round a float32 to the nearest bfloat16, ties to even; returns its bits as int16."""
     whole = np.float32(value).view(np.int32)
     odd = np.int32(np.int32(whole >> np.int32(16)) & np.int32(1))
     return np.int16(np.int32(whole + np.int32(0x7FFF) + odd) >> np.int32(16))
@@ -31,5 +31,5 @@ def to_bfloat16(value):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def to_float32(half):  # type: ignore[no-untyped-def]
-    """The float32 that the bits of a bfloat16 stand for."""
+    """Convert the bits of a bfloat16 to a float32."""
     return np.int32(np.int32(half) << np.int32(16)).view(np.float32)

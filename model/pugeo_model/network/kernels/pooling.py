@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is done along neighbours: sums with what each sends, maxima and means.
+"""Sums of messages, maxima and means over neighbours.
 
-Neighbours lie along the first dimension, so that every pass is contiguous. These passes are bound
-by memory: where no gradient is wanted, what torch does in four is one.
+Neighbours are the first dimension, so that each pass is contiguous. These passes are limited by
+memory bandwidth; without gradients one compiled pass replaces four of torch.
 """
 
 import itertools
@@ -20,52 +20,55 @@ __all__ = ["pools", "rectify", "sums"]
 
 
 def rectify(values: Tensor) -> Tensor:
-    """ReLU, in place where no gradient is wanted.
+    """Apply a ReLU, in place if no gradient is needed.
 
-    With one, torch keeps book of what was overwritten in a view: three passes more than a copy.
+    With gradients, torch's bookkeeping for in-place changes of a view takes three more passes.
     """
     return torch.relu(values) if values.requires_grad else torch.relu_(values)
 
 
-def sums(edges: Tensor, sent: Tensor, sources: Tensor, own: Tensor) -> Tensor:
-    """What each edge adds up to, rectified; ``edges`` may be overwritten.
+def sums(edges: Tensor, sent: Tensor, sources: Tensor, received: Tensor) -> Tensor:
+    """Compute ``relu(edge + sender + receiver)`` for each edge.
 
     Args:
-        edges: ``(k, n, c)``.
-        sent: ``(m, c)`` of the senders.
+        edges: ``(k, n, c)`` part of each edge; may be overwritten.
+        sent: ``(m, c)`` part of the senders.
         sources: ``(k, n)`` int64 rows of ``sent``.
-        own: ``(n, c)`` of the receivers.
+        received: ``(n, c)`` part of the receivers.
+
+    Returns:
+        ``(k, n, c)``.
     """
-    if _served(edges):
-        assert edges.dtype == sent.dtype == own.dtype
-        _sum(bits(edges), bits(sent), sources.numpy(), bits(own))
+    if _uses_kernel(edges):
+        assert edges.dtype == sent.dtype == received.dtype
+        _sum(bits(edges), bits(sent), sources.numpy(), bits(received))
         return edges
     gathered = sent.index_select(0, sources.flatten()).unflatten(0, tuple(sources.shape))
-    return rectify(edges.add_(gathered).add_(own))
+    return rectify(edges.add_(gathered).add_(received))
 
 
 def pools(values: Tensor, stops: Sequence[int], before: Tensor | None = None) -> Tensor:
-    """Maxima over the first neighbours and the mean over all, side by side.
+    """Compute maxima over leading neighbours and the mean over all, concatenated.
 
     Args:
         values: ``(k, n, c)``, output of a ReLU.
-        stops: over how many neighbours each maximum goes, ascending, the last of them ``k``.
-        before: ``(n, b)`` columns that lead.
+        stops: number of leading neighbours of each maximum, ascending; the last one is ``k``.
+        before: ``(n, b)`` columns to put first.
 
     Returns:
         ``(n, b + (len(stops) + 1) * c)``.
     """
     width = values.shape[2]
     leading = 0 if before is None else before.shape[1]
-    if _served(values):
+    if _uses_kernel(values):
         columns = leading + (len(stops) + 1) * width
         out = torch.empty(values.shape[1], columns, dtype=values.dtype)
         if before is not None:
             out[:, :leading] = before
-        _pool(bits(values), np.array(stops), float(_share(values)), bits(out), leading)
+        _pool(bits(values), np.array(stops), float(_inverse_count(values)), bits(out), leading)
         return out
     parts = [] if before is None else [before]
-    # Split and not sliced: the gradients of slices are each written into zeros of full size.
+    # `split` and not slices: the gradient of each slice would be a zero tensor of full size.
     steps = [stop - start for start, stop in itertools.pairwise((0, *stops))]
     top = None
     for part in values.split(steps):
@@ -75,12 +78,14 @@ def pools(values: Tensor, stops: Sequence[int], before: Tensor | None = None) ->
     return torch.cat([*parts, _mean(values)], dim=-1)
 
 
-def _served(values: Tensor) -> bool:
+def _uses_kernel(values: Tensor) -> bool:
+    """Return whether the compiled kernels apply: bfloat16 without gradients."""
     return values.dtype == torch.bfloat16 and not torch.is_grad_enabled()
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _sum(edges, sent, sources, own):  # type: ignore[no-untyped-def]
+def _sum(edges, sent, sources, received):  # type: ignore[no-untyped-def]
+    """Compute `sums` in place of ``edges``, on bits of bfloat16."""
     zero = np.float32(0.0)
     count, rows, width = edges.shape
     for j in range(count):
@@ -88,37 +93,39 @@ def _sum(edges, sent, sources, own):  # type: ignore[no-untyped-def]
             source = sources[j, i]
             for c in range(width):
                 total = (
-                    to_float32(edges[j, i, c]) + to_float32(sent[source, c]) + to_float32(own[i, c])
+                    to_float32(edges[j, i, c])
+                    + to_float32(sent[source, c])
+                    + to_float32(received[i, c])
                 )
                 edges[j, i, c] = to_bfloat16(max(total, zero))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _pool(values, stops, share, out, first):  # type: ignore[no-untyped-def]
-    """Bits of numbers that are not negative are in the order of the numbers."""
+def _pool(values, stops, inverse_count, out, first):  # type: ignore[no-untyped-def]
+    """Compute `pools` on bits of bfloat16; bits of non-negative numbers sort as the numbers."""
     _, rows, width = values.shape
     top, total = np.empty(width, dtype=np.int16), np.empty(width, dtype=np.float32)
-    share = np.float32(share)
+    inverse_count = np.float32(inverse_count)
     for i in range(rows):
         top[:] = 0
         total[:] = 0.0
-        begun, at = 0, first
+        start, at = 0, first
         for stop in stops:
-            for j in range(begun, stop):
+            for j in range(start, stop):
                 for c in range(width):
                     top[c] = max(top[c], values[j, i, c])
                     total[c] += to_float32(values[j, i, c])
             out[i, at : at + width] = top
-            begun, at = stop, at + width
+            start, at = stop, at + width
         for c in range(width):
-            out[i, at + c] = to_bfloat16(share * total[c])
+            out[i, at + c] = to_bfloat16(inverse_count * total[c])
 
 
 class _Max(torch.autograd.Function):
-    """Maximum over dimension 0.
+    """Maximum over dimension 0 with a fast gradient.
 
-    Torch's own maximum keeps indices (13 times slower here) or counts ties in its gradient. Behind
-    a ReLU ties only happen at zero, where no gradient passes anyway.
+    Torch's own maximum stores indices (13 times slower here) or divides the gradient among ties.
+    After a ReLU ties occur at zero only, where the gradient is zero.
     """
 
     @staticmethod
@@ -132,34 +139,33 @@ class _Max(torch.autograd.Function):
         values, top = ctx.saved_tensors
         grad = torch.empty(values.shape, dtype=values.dtype)
         flat = [tensor.reshape(-1, top.numel()) for tensor in (values, top, grads[0], grad)]
-        _pass_on(*(bits(tensor) for tensor in flat))
+        _max_gradient(*(bits(tensor) for tensor in flat))
         return grad
 
 
 @njit(cache=True, nogil=True)
-def _pass_on(values, top, above, grad):  # type: ignore[no-untyped-def]
-    """A fifth of the time of torch's comparison and product, which convert to float32 and back."""
+def _max_gradient(values, top, above, grad):  # type: ignore[no-untyped-def]
+    """Gradient of the maximum, in a fifth of the time of torch's comparison and product."""
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             grad[i, j] = above[0, j] if values[i, j] == top[0, j] else 0
 
 
 class _Mean(torch.autograd.Function):
-    """Mean over dimension 0, whose gradient is one row for all: nothing is multiplied out."""
+    """Mean over dimension 0; the gradient is one expanded row and not a full tensor."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor) -> Tensor:
         ctx.count = len(values)
-        # As a product: a sum in bfloat16 is slow.
-        mean: Tensor = (_share(values).expand(1, len(values)) @ values.flatten(1)).reshape(
-            values.shape[1:]
-        )
+        # As a matrix product, since a sum in bfloat16 is slow.
+        weights = _inverse_count(values).expand(1, len(values))
+        mean: Tensor = (weights @ values.flatten(1)).reshape(values.shape[1:])
         return mean
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Tensor:
-        share: Tensor = (grads[0] / ctx.count).expand(ctx.count, *grads[0].shape)
-        return share
+        grad: Tensor = (grads[0] / ctx.count).expand(ctx.count, *grads[0].shape)
+        return grad
 
 
 def _max(values: Tensor) -> Tensor:
@@ -174,6 +180,6 @@ def _mean(values: Tensor) -> Tensor:
     return pooled
 
 
-def _share(values: Tensor) -> Tensor:
-    """What one neighbour is of the mean over all, rounded as the numbers are."""
+def _inverse_count(values: Tensor) -> Tensor:
+    """Weight of one neighbour in the mean over all, in the dtype of the values."""
     return torch.tensor(1.0 / len(values), dtype=values.dtype)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Projection, compiled: what ``blend`` says, for serving.
+"""Compiled projection onto blended charts, for inference.
 
-``blend`` is the rule and what training differentiates. Its tensors of millions of 3x3 products
-and 8-wide layers are bound by memory: here the geometry of a block of queries is one loop, the one
-wide layer a matrix product that stays in the cache, and nothing else is ever written out.
+The definition is `pugeo_model.network.projection.blend`, which training differentiates. Its
+tensors of millions of 3x3 products and layers of width 8 are limited by memory bandwidth. Here
+the geometry of a block of queries is one loop, and the wide layer is a matrix product in the
+cache.
 """
 
 import numpy as np
@@ -20,23 +21,23 @@ from pugeo_model.resample.atlas import ProjectionQuery
 
 __all__ = ["Projector", "bounded_step"]
 
-_ROWS = 4096  # queries times charts a pass: few calls, and what one writes still fits the caches
-_GRAIN = 256  # rows of a product are a multiple of this, see `gather`; divides _ROWS
-_SHEET = 18  # numbers kept of a chart: basis (9), spacing, its inverse, quadric (6), lift
+_ROWS = 4096  # queries times charts in a block: few calls, and its arrays fit the caches
+_GRAIN = 256  # rows of a product are a multiple of it, see `stack_patches`; divides _ROWS
+_CHART = 18  # numbers per chart: basis (9), spacing, its inverse, quadric (6), lift
 _TERMS = 8  # inputs of the first layer: u, v, their products, height, slopes
-_OFFSET = 4  # numbers kept of a query point on a chart: x, y, z, squared distance in spacings
+_OFFSET = 4  # numbers per query and chart: x, y, z, squared distance in spacings
 
 
 class Projector:
-    """The surface head, ready to project queries.
+    """Compiled form of the surface head.
 
     Args:
         surface: the head; its weights are copied.
     """
 
     def __init__(self, surface: Surface) -> None:
-        # Rounded here once, as autocast would round them in every call. Where bfloat16 does not
-        # pay, the same numbers are multiplied in float32.
+        # Rounded to bfloat16 once, as autocast would in each call. Where bfloat16 is emulated,
+        # the rounded numbers are multiplied in float32.
         self.kind = torch.bfloat16 if bfloat16_pays() else torch.float32
         self.hidden = surface.hidden.weight.detach().to(torch.bfloat16).to(self.kind)
         self.hidden_bias = surface.hidden.bias.detach().to(torch.bfloat16).to(self.kind)
@@ -48,11 +49,15 @@ class Projector:
     def __call__(
         self, query: ProjectionQuery
     ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Blend the charts of every query point.
+        """Project query points onto their blended charts.
+
+        Args:
+            query: ``m`` points with their charts.
 
         Returns:
-            Step ``(m, 3)`` float64 from the query point to the surface, cloud units; unit normals
-            ``(m, 3)``, sign that of the first chart's; log of the error expected ``(m,)``.
+            Step ``(m, 3)`` float64 from the query point to the surface, unit scale; unit normals
+            ``(m, 3)`` float32 with the sign of the first chart; log of the predicted error
+            ``(m,)`` float32.
         """
         count, charts = query.charts.shape
         step = np.empty((count, 3))
@@ -60,25 +65,25 @@ class Projector:
         log_error = np.empty(count, dtype=np.float32)
         atlas, frames = query.atlas, query.atlas.frames
         codes = torch.from_numpy(atlas.code).float().numpy()
-        sheets = _sheets(frames.axes, frames.spacing, frames.quadric, atlas.T, atlas.lift)
+        chart_data = _chart_data(frames.axes, frames.spacing, frames.quadric, atlas.T, atlas.lift)
         block = _ROWS // charts
-        # Bits of bfloat16, which numpy and numba do not know.
+        # Bits of bfloat16, a type that numpy and numba do not support.
         first = np.zeros((_ROWS, codes.shape[1]), dtype=np.int16)
-        ready = torch.from_numpy(first).view(torch.bfloat16)
+        first_tensor = torch.from_numpy(first).view(torch.bfloat16)
         terms = np.zeros((_ROWS, _TERMS), dtype=np.float32)
         offsets = np.empty((_ROWS, _OFFSET), dtype=np.float32)
         for start in range(0, count, block):
             part = slice(start, min(start + block, count))
             rows = query.charts[part].ravel()
-            _place(query.points[part], rows, atlas.points, sheets, terms, offsets)
-            _enter(rows, codes, terms, self.terms, first)
-            # Rows that are left over from the last pass cost less than a product compiled anew.
-            seen = ready[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
-            hidden = functional.linear(seen, self.hidden, self.hidden_bias).to(torch.bfloat16)
-            _leave(
+            _to_charts(query.points[part], rows, atlas.points, chart_data, terms, offsets)
+            _first_layer(rows, codes, terms, self.terms, first)
+            # Stale rows pad the block, since compiling a product for a new size takes longer.
+            padded = first_tensor[: -(-len(rows) // _GRAIN) * _GRAIN].to(self.kind)
+            hidden = functional.linear(padded, self.hidden, self.hidden_bias).to(torch.bfloat16)
+            _last_layer(
                 bits(hidden),
                 query.charts[part],
-                sheets,
+                chart_data,
                 terms,
                 offsets,
                 self.out,
@@ -91,64 +96,68 @@ class Projector:
 
 
 def bounded_step(
-    query: ProjectionQuery, step: NDArray[np.float64], furthest: float
+    query: ProjectionQuery, step: NDArray[np.float64], largest: float
 ) -> NDArray[np.float64]:
-    """Where queries come to lie, ``(m, 3)``: a step further, but near the point of their first chart.
+    """Move query points by their steps, but not far from the point of their first chart.
 
     Args:
         query: the queries.
         step: ``(m, 3)`` float64.
-        furthest: distance from that point at most, in its spacings.
+        largest: largest distance from that point, in its spacings.
+
+    Returns:
+        ``(m, 3)`` float64.
     """
     moved = np.empty_like(step)
-    # One layout, whatever the number of charts: each would be compiled for itself.
-    home, atlas = np.ascontiguousarray(query.charts[:, 0]), query.atlas
-    _bounded_step(query.points, step, home, atlas.points, atlas.frames.spacing, furthest, moved)
+    # Contiguous, since numba compiles each memory layout separately.
+    first, atlas = np.ascontiguousarray(query.charts[:, 0]), query.atlas
+    _bounded_step(query.points, step, first, atlas.points, atlas.frames.spacing, largest, moved)
     return moved
 
 
 @njit(cache=True, nogil=True)
-def _bounded_step(queries, step, home, points, spacing, furthest, moved):  # type: ignore[no-untyped-def]
+def _bounded_step(queries, step, first, points, spacing, largest, moved):  # type: ignore[no-untyped-def]
+    """Write the positions after bounded steps into ``moved``."""
     for i in range(len(queries)):
-        chart = home[i]
+        chart = first[i]
         x = queries[i, 0] + step[i, 0] - points[chart, 0]
         y = queries[i, 1] + step[i, 1] - points[chart, 1]
         z = queries[i, 2] + step[i, 2] - points[chart, 2]
-        reach = furthest * spacing[chart]
-        far = np.sqrt(x * x + y * y + z * z)
-        shrink = reach / far if far > reach else 1.0
+        radius = largest * spacing[chart]
+        distance = np.sqrt(x * x + y * y + z * z)
+        shrink = radius / distance if distance > radius else 1.0
         moved[i, 0] = points[chart, 0] + x * shrink
         moved[i, 1] = points[chart, 1] + y * shrink
         moved[i, 2] = points[chart, 2] + z * shrink
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _sheets(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
-    """What query needs of each chart side by side, ``(n, _SHEET)`` float32.
+def _chart_data(axes, spacing, quadric, T, lift):  # type: ignore[no-untyped-def]
+    """Pack the data of each chart into one row, ``(n, _CHART)`` float32.
 
-    Frame and T make one basis: its columns are the chart's tangents and normal in the world.
+    Canonical frame and T give one basis: tangents and normal of the chart in the cloud's frame.
     """
     count = len(lift)
-    sheets = np.empty((count, _SHEET), dtype=np.float32)
+    chart_data = np.empty((count, _CHART), dtype=np.float32)
     for i in range(count):
         for a in range(3):
             for b in range(3):
-                sheets[i, 3 * b + a] = (
+                chart_data[i, 3 * b + a] = (
                     axes[i, 0, a] * T[i, 0, b]
                     + axes[i, 1, a] * T[i, 1, b]
                     + axes[i, 2, a] * T[i, 2, b]
                 )
-        sheets[i, 9] = spacing[i]
-        sheets[i, 10] = np.float32(1.0) / spacing[i]
+        chart_data[i, 9] = spacing[i]
+        chart_data[i, 10] = np.float32(1.0) / spacing[i]
         for a in range(6):
-            sheets[i, 11 + a] = quadric[i, a]
-        sheets[i, 17] = lift[i]
-    return sheets
+            chart_data[i, 11 + a] = quadric[i, a]
+        chart_data[i, 17] = lift[i]
+    return chart_data
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _place(queries, rows, points, sheets, terms, offsets):  # type: ignore[no-untyped-def]
-    """Where each query point lies in each of its charts."""
+def _to_charts(queries, rows, points, chart_data, terms, offsets):  # type: ignore[no-untyped-def]
+    """Coordinates of each query in each of its charts; writes ``terms`` and ``offsets``."""
     half = np.float32(0.5)
     charts = len(rows) // len(queries)
     for i in range(len(queries)):
@@ -157,11 +166,15 @@ def _place(queries, rows, points, sheets, terms, offsets):  # type: ignore[no-un
             x = np.float32(queries[i, 0] - points[chart, 0])
             y = np.float32(queries[i, 1] - points[chart, 1])
             z = np.float32(queries[i, 2] - points[chart, 2])
-            inverse = sheets[chart, 10]
-            u = (sheets[chart, 0] * x + sheets[chart, 1] * y + sheets[chart, 2] * z) * inverse
-            v = (sheets[chart, 3] * x + sheets[chart, 4] * y + sheets[chart, 5] * z) * inverse
-            q1, q2 = sheets[chart, 12], sheets[chart, 13]
-            q3, q4, q5 = sheets[chart, 14], sheets[chart, 15], sheets[chart, 16]
+            inverse = chart_data[chart, 10]
+            u = (
+                chart_data[chart, 0] * x + chart_data[chart, 1] * y + chart_data[chart, 2] * z
+            ) * inverse
+            v = (
+                chart_data[chart, 3] * x + chart_data[chart, 4] * y + chart_data[chart, 5] * z
+            ) * inverse
+            q1, q2 = chart_data[chart, 12], chart_data[chart, 13]
+            q3, q4, q5 = chart_data[chart, 14], chart_data[chart, 15], chart_data[chart, 16]
             terms[row, 0] = u
             terms[row, 1] = v
             terms[row, 2] = u * u
@@ -175,14 +188,14 @@ def _place(queries, rows, points, sheets, terms, offsets):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
-    """The first layer of the head, rectified, in bits of bfloat16."""
+def _first_layer(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
+    """First layer of the head with ReLU, as bits of bfloat16."""
     for row in range(len(rows)):
         chart = rows[row]
         t0, t1, t2, t3 = terms[row, 0], terms[row, 1], terms[row, 2], terms[row, 3]
         t4, t5, t6, t7 = terms[row, 4], terms[row, 5], terms[row, 6], terms[row, 7]
         for k in range(codes.shape[1]):
-            entered = (
+            total = (
                 codes[chart, k]
                 + weight[0, k] * t0
                 + weight[1, k] * t1
@@ -193,57 +206,62 @@ def _enter(rows, codes, terms, weight, first):  # type: ignore[no-untyped-def]
                 + weight[6, k] * t6
                 + weight[7, k] * t7
             )
-            first[row, k] = to_bfloat16(max(entered, np.float32(0.0)))
+            first[row, k] = to_bfloat16(max(total, np.float32(0.0)))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _leave(  # type: ignore[no-untyped-def]
-    hidden, charts, sheets, terms, offsets, weight, bias, step, normals, log_error
+def _last_layer(  # type: ignore[no-untyped-def]
+    hidden, charts, chart_data, terms, offsets, weight, bias, step, normals, log_error
 ):
-    """The last layer, and the blend of what the charts of each query point say."""
+    """Last layer of the head, and the blend of the charts of each query."""
     count = charts.shape[1]
-    said = np.empty((count, 8), dtype=np.float32)
+    # For each chart: step (3), normal (3), log error, log weight.
+    results = np.empty((count, 8), dtype=np.float32)
     one = np.float32(1.0)
     for i in range(len(charts)):
         best = np.float32(-np.inf)
         for c in range(count):
             chart = charts[i, c]
             row = i * count + c
-            rise = du = dv = doubt = np.float32(0.0)
+            rise = du = dv = chart_log_error = np.float32(0.0)
             for k in range(hidden.shape[1]):
                 h = max(to_float32(hidden[row, k]), np.float32(0.0))
                 rise += h * weight[0, k]
                 du += h * weight[1, k]
                 dv += h * weight[2, k]
-                doubt += h * weight[3, k]
-            doubt += bias[3] + np.float32(LOG_ERROR)
+                chart_log_error += h * weight[3, k]
+            chart_log_error += bias[3] + np.float32(LOG_ERROR)
             u, v = terms[row, 0], terms[row, 1]
-            rise += bias[0] + terms[row, 5] + sheets[chart, 17]
+            rise += bias[0] + terms[row, 5] + chart_data[chart, 17]
             nu, nv = du + bias[1] - terms[row, 6], dv + bias[2] - terms[row, 7]
             size = one / np.sqrt(nu * nu + nv * nv + one)
-            spacing = sheets[chart, 9]
+            spacing = chart_data[chart, 9]
             for a in range(3):
-                t, s, n = sheets[chart, a], sheets[chart, 3 + a], sheets[chart, 6 + a]
-                said[c, a] = (t * u + s * v + n * rise) * spacing - offsets[row, a]
-                said[c, 3 + a] = (t * nu + s * nv + n) * size
-            said[c, 6] = doubt
-            score = -np.float32(FALLOFF) * offsets[row, 3] - np.float32(TRUST) * doubt
-            said[c, 7] = score
+                t, s, n = chart_data[chart, a], chart_data[chart, 3 + a], chart_data[chart, 6 + a]
+                results[c, a] = (t * u + s * v + n * rise) * spacing - offsets[row, a]
+                results[c, 3 + a] = (t * nu + s * nv + n) * size
+            results[c, 6] = chart_log_error
+            score = -np.float32(FALLOFF) * offsets[row, 3] - np.float32(TRUST) * chart_log_error
+            results[c, 7] = score
             best = max(best, score)
         total = x = y = z = nx = ny = nz = expected = np.float32(0.0)
         for c in range(count):
-            w = np.exp(said[c, 7] - best)
+            w = np.exp(results[c, 7] - best)
             total += w
-            x += w * said[c, 0]
-            y += w * said[c, 1]
-            z += w * said[c, 2]
-            expected += w * said[c, 6]
-            same = said[c, 3] * said[0, 3] + said[c, 4] * said[0, 4] + said[c, 5] * said[0, 5]
+            x += w * results[c, 0]
+            y += w * results[c, 1]
+            z += w * results[c, 2]
+            expected += w * results[c, 6]
+            same = (
+                results[c, 3] * results[0, 3]
+                + results[c, 4] * results[0, 4]
+                + results[c, 5] * results[0, 5]
+            )
             if same < 0:
                 w = -w
-            nx += w * said[c, 3]
-            ny += w * said[c, 4]
-            nz += w * said[c, 5]
+            nx += w * results[c, 3]
+            ny += w * results[c, 4]
+            nz += w * results[c, 5]
         step[i, 0], step[i, 1], step[i, 2] = x / total, y / total, z / total
         length = max(np.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-12))
         normals[i, 0], normals[i, 1], normals[i, 2] = (
