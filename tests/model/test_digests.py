@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of answers stay what they were."""
+"""Outputs are bit for bit those that were recorded."""
 
 import json
 import sys
@@ -10,7 +10,7 @@ import pytest
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["standard", "fast"])
 def test_answers_stay_the_same_bytes(root, model):
-    """Every recorded case gives the bytes that it gave when it was recorded."""
+    """Each recorded case gives the recorded bytes."""
     sys.path.insert(0, str(root))
     try:
         from benchmarks.digests import CASES, FILE, digest, platform

@@ -78,7 +78,7 @@ def test_other_constants_drop_stored_kernels(
 
 
 def test_kernels_are_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second call finds the mark of the first, and says nothing."""
+    """The second call finds the marker of the first one and compiles nothing."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     code = "from pugeo_model import kernel_cache; kernel_cache._marker().touch()"
     monkeypatch.setattr(kernel_cache, "_COMPILE", code)

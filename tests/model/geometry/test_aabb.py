@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes around and of points."""
+"""Axis-aligned bounding boxes."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from pugeo_model.geometry.aabb import bounds, rows_inside
 
 
 def test_corners_and_inside() -> None:
-    """As numpy says; the border belongs to the box, and rows keep their order."""
+    """Results equal those of numpy; the border belongs to the box, and rows keep their order."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(500, 3))
     rows = rng.permutation(500)[:200].astype(np.int32)

@@ -6,21 +6,21 @@ from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 
 
-def test_shares_follow_density_far_and_wide():
-    """A cloud four times as dense on one side: surface_areas there are a quarter, and smooth."""
+def test_areas_follow_the_density():
+    """Areas are a quarter at four times the density, and smooth."""
     rng = np.random.default_rng(0)
     dense, sparse = rng.random((4000, 3)), rng.random((1000, 3)) + [1, 0, 0]
     points = np.concatenate([dense, sparse]) * [1, 1, 0]
     distances, neighbours = nearest(points)
-    share = surface_areas(spacing(distances), neighbours)
-    assert share[points[:, 0] > 1.5].mean() / share[points[:, 0] < 0.5].mean() == pytest.approx(
+    area = surface_areas(spacing(distances), neighbours)
+    assert area[points[:, 0] > 1.5].mean() / area[points[:, 0] < 0.5].mean() == pytest.approx(
         4, rel=0.1
     )
-    assert share[points[:, 0] < 0.5].std() < 0.1 * share[points[:, 0] < 0.5].mean()
+    assert area[points[:, 0] < 0.5].std() < 0.1 * area[points[:, 0] < 0.5].mean()
 
 
-def test_small_differences_are_accidents():
-    """Points of an even input stand for the same area each; twice the area is twice the area."""
+def test_small_differences_are_ignored():
+    """All points of an even input have the same area; large differences are kept."""
     grid = np.stack(np.meshgrid(np.arange(60.0), np.arange(60.0)), axis=-1).reshape(-1, 2)
     points = np.append(grid, np.zeros((3600, 1)), axis=1)
     distances, neighbours = nearest(points)
@@ -31,13 +31,13 @@ def test_small_differences_are_accidents():
     differing = spacing(distances) * np.where(left, 1.0, 1.5).astype(np.float32)
     middle = np.abs(points[:, 1] - 29.5) < 5
     for typical in (None, 1.0, 7.0):
-        share = surface_areas(differing, neighbours, typical)
-        low, high = (share[middle & (points[:, 0] == x)] for x in (10, 50))
+        area = surface_areas(differing, neighbours, typical)
+        low, high = (area[middle & (points[:, 0] == x)] for x in (10, 50))
         assert high / low == pytest.approx(1.5**2, rel=0.05)
 
 
-def test_what_is_typical_may_be_told():
-    """Of a part of a larger cloud, whose typical spacing is another, small differences count."""
+def test_a_given_typical_spacing():
+    """In a part of a larger cloud with another typical spacing, small differences are kept."""
     grid = np.stack(np.meshgrid(np.arange(60.0), np.arange(60.0)), axis=-1).reshape(-1, 2)
     points = np.append(grid, np.zeros((3600, 1)), axis=1)
     distances, neighbours = nearest(points)
@@ -45,6 +45,6 @@ def test_what_is_typical_may_be_told():
     usual = float(np.median(here))
     middle = np.abs(points[:, 1] - 29.5) < 5
     for typical, ratio in ((usual, 1.0), (3.0 * usual, 1.02**2)):
-        share = surface_areas(here, neighbours, typical)
-        low, high = (share[middle & (points[:, 0] == x)].mean() for x in (10, 50))
+        area = surface_areas(here, neighbours, typical)
+        low, high = (area[middle & (points[:, 0] == x)].mean() for x in (10, 50))
         assert high / low == pytest.approx(ratio, abs=0.004)

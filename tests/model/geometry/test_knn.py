@@ -19,18 +19,18 @@ CLOUDS = {
 
 @pytest.mark.parametrize("cloud", CLOUDS.values(), ids=CLOUDS)
 def test_the_tree_finds_the_same(cloud: np.ndarray) -> None:
-    """Distances are those that a k-d tree finds, and rows lie at these distances."""
+    """Distances equal those of a k-d tree, and the rows have these distances."""
     expected = cKDTree(cloud).query(cloud, np.arange(1, 34))[0]
     distances, rows = nearest(cloud)
     np.testing.assert_array_equal(distances, np.asarray(expected, np.float32)[:, 1:])
-    apart = np.linalg.norm(cloud[rows] - cloud[:, None], axis=2)
-    np.testing.assert_allclose(apart, distances, rtol=1e-6, atol=1e-12)
+    distance = np.linalg.norm(cloud[rows] - cloud[:, None], axis=2)
+    np.testing.assert_allclose(distance, distances, rtol=1e-6, atol=1e-12)
     assert not (rows == np.arange(len(cloud))[:, None]).any()
     assert (np.diff(np.sort(rows, axis=1)) > 0).all()
 
 
 def test_equals_come_in_their_order() -> None:
-    """On a lattice, where many neighbours are equally far, lower rows come first."""
+    """On a lattice with many equal distances, lower rows come first."""
     axes = np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij")
     lattice = np.stack(axes, axis=-1).reshape(-1, 3)
     distances, rows = nearest_by_leaves(lattice, 32)
@@ -38,11 +38,11 @@ def test_equals_come_in_their_order() -> None:
     assert (rows[:, 1:] > rows[:, :-1])[same].all()
 
 
-def test_a_crowd_around_a_leaf_is_left_to_the_caller() -> None:
-    """Points with thousands of others around them are told apart, not searched at length."""
+def test_too_many_points_around_a_leaf() -> None:
+    """Points with thousands of others around their leaf are marked and left to the caller."""
     dense = RNG.normal(0, 1e-4, (20_000, 3))
     _, rows = nearest_by_leaves(np.concatenate([dense, RNG.random((40, 3))]), 32)
-    left = rows[:, 0] < 0
-    assert left[20_000:].any()
-    assert (rows[left] == -1).all()
-    assert not left.all()
+    missing = rows[:, 0] < 0
+    assert missing[20_000:].any()
+    assert (rows[missing] == -1).all()
+    assert not missing.all()

@@ -5,7 +5,7 @@ import torch
 
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.patches import cut
+from pugeo_model.geometry.patches import extract_patch
 from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
@@ -13,7 +13,7 @@ from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
 
 @pytest.fixture
 def net():
-    """An untrained network: output layers near zero, so it answers the quadric fit."""
+    """An untrained network, which reproduces the quadric fit."""
     torch.manual_seed(0)
     return PUGeoNet().eval()
 
@@ -22,12 +22,12 @@ def patch_of(points, core=None):
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances))
     core = np.arange(200, dtype=np.int32) if core is None else core
-    return cut(core, points, neighbours, frames)
+    return extract_patch(core, points, neighbours, frames)
 
 
 @pytest.mark.parametrize("count", [1, 4, 7, 32])
 def test_shapes_for_any_ratio(net, sphere, count):
-    """One network gives any number of samples a chart."""
+    """One network gives any number of samples per chart."""
     patch = patch_of(sphere)
     quadric = torch.from_numpy(patch.frames.quadric[:200])
     with torch.inference_mode():
@@ -51,7 +51,7 @@ def test_t_is_a_rotation_and_gives_the_coarse_normal(net, sphere):
 
 
 def test_untrained_network_is_the_jet_baseline(net, sphere):
-    """Before training, samples of a sphere lie on it about as well as a quadric does."""
+    """Before training, samples of a sphere are as accurate as a quadric fit."""
     patch = patch_of(sphere)
     frames = patch.frames
     with torch.inference_mode():
@@ -67,19 +67,19 @@ def test_untrained_network_is_the_jet_baseline(net, sphere):
 
 
 def test_patches_together_or_alone_are_the_same_graph(net, sphere):
-    """Two patches put into one graph see the same neighbours as each alone."""
+    """Two patches in one graph have the same features as each alone."""
     left = patch_of(sphere, np.arange(100, dtype=np.int32))
     right = patch_of(sphere, np.arange(500, 620, dtype=np.int32))
     with torch.inference_mode():
         both = net.backbone(stack_patches([left, right]))[:220]
         one, other = net.backbone(stack_patches([left])), net.backbone(stack_patches([right]))
-    assert len(one) == len(other) == 128  # filled up
+    assert len(one) == len(other) == 128  # with padding
     alone = torch.cat([one[:100], other[:120]])
     torch.testing.assert_close(both, alone, atol=1e-4, rtol=1e-4)
 
 
 def test_blend_leaves_points_of_a_plane_alone(net, plane):
-    """On a plane all charts agree, and a spot in the plane has nowhere to go."""
+    """On a plane all charts are equal, and a point of the plane does not move."""
     points, normal = plane
     patch = patch_of(points, np.arange(len(points), dtype=np.int32))
     frames = patch.frames
@@ -87,8 +87,8 @@ def test_blend_leaves_points_of_a_plane_alone(net, plane):
         charts, _ = net(stack_patches([patch]), torch.from_numpy(frames.quadric), 4)
         rows = torch.tensor([[700, 701, 702], [800, 801, 760]])
         picked = Charts(*(field[rows.flatten()] for field in vars(charts).values()))
-        spots = torch.from_numpy(points[rows.numpy()].mean(axis=1, keepdims=True))
-        offsets = (spots - torch.from_numpy(points[rows.numpy()])).float()
+        queries = torch.from_numpy(points[rows.numpy()].mean(axis=1, keepdims=True))
+        offsets = (queries - torch.from_numpy(points[rows.numpy()])).float()
         step, normals, _, _ = blend(
             net.surface,
             picked,

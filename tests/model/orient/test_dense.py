@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs by the points of the answer, where the input's neighbours mislead."""
+"""Signs from output points, where neighbours in the input mislead."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,9 @@ from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.orient.across_tiles import signs_across_tiles
 from pugeo_model.orient.dense import orient_dense
-from pugeo_model.orient.methods import orient
+from pugeo_model.orient.mst import Edges
+from pugeo_model.orient.mst_consensus import join_by_consensus
+from pugeo_model.orient.signed_union_find import SignedUnionFind
 
 SIDE = 26
 
@@ -30,43 +32,44 @@ def plate(side: int, thickness: float, jitter: float, rng: np.random.Generator):
 
 
 def mixed(normals, rng: np.random.Generator):
-    """The same with signs by chance."""
+    """The normals with random signs, float32."""
     return (normals * rng.choice([-1.0, 1.0], (len(normals), 1))).astype(np.float32)
 
 
 @pytest.mark.parametrize("members", [1, 3])
 def test_a_wall_thinner_than_the_input_is_sparse(members):
-    """Normals that lean make the faces of the input look like one; those of the answer do not.
+    """With inaccurate normals the faces of the input cannot be separated, those of the output can.
 
-    With nine points a chart, most follow those that take part.
+    With nine output points per chart, most of them get their sign from another one.
     """
     rng = np.random.default_rng(members)
     points, truth = plate(SIDE, 0.7 / SIDE, 0.4, rng)
     dense, dense_truth = plate(members * SIDE, 0.7 / SIDE, 0.1, rng)
-    leaning = truth + rng.normal(size=truth.shape)
-    leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
+    inaccurate = truth + rng.normal(size=truth.shape)
+    inaccurate /= np.linalg.norm(inaccurate, axis=1, keepdims=True)
     distances, near = nearest(points)
     near = np.ascontiguousarray(near[:, :12])
     area = surface_areas(spacing(distances), near)
     rows, core = np.arange(len(points), dtype=np.int32), np.ones(len(points), np.bool_)
     owner = np.asarray(cKDTree(points).query(dense)[1], dtype=np.int32)
-    ways = mixed(dense_truth, rng)
-    sides, signs, parts = orient_dense(
-        rows, core, points, mixed(leaning, rng), near, area, (dense, ways, owner)
+    normals = mixed(dense_truth, rng)
+    tile, signs, parts = orient_dense(
+        rows, core, points, mixed(inaccurate, rng), near, area, (dense, normals, owner)
     )
-    signs = signs * signs_across_tiles([sides])[0][parts]
-    right = (ways * signs[:, None] * dense_truth).sum(axis=1) > 0
-    face = dense[:, 2] > 0
-    # Nothing joins the faces at their rims here: each is right within itself, or wrong.
-    for mine in (face, ~face):
-        assert max(right[mine].mean(), 1 - right[mine].mean()) > 0.98
-    old, _ = orient(points, mixed(leaning, rng), "mst", None, None, near)
-    left = (old * truth).sum(axis=1) > 0
-    assert 0.05 < left[points[:, 2] > 0].mean() < 0.95
+    signs = signs * signs_across_tiles([tile])[0][parts]
+    correct = (normals * signs[:, None] * dense_truth).sum(axis=1) > 0
+    upper = dense[:, 2] > 0
+    # The faces are not connected at their rims, so that a whole face may have the wrong sign.
+    for face in (upper, ~upper):
+        assert max(correct[face].mean(), 1 - correct[face].mean()) > 0.98
+    union_find = SignedUnionFind(len(points))
+    join_by_consensus(union_find, Edges.among(points, mixed(inaccurate, rng), near))
+    by_input = union_find.read()[0] * np.sign((mixed(inaccurate, rng) * truth).sum(axis=1))
+    assert 0.05 < (by_input > 0)[points[:, 2] > 0].mean() < 0.95
 
 
 def test_a_margin_agrees_with_the_core():
-    """Where there is no answer, neighbours in the input hand the signs on."""
+    """In the margin, which has no output points, signs propagate along input neighbours."""
     rng = np.random.default_rng(5)
     ball = rng.normal(size=(3000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
@@ -77,20 +80,20 @@ def test_a_margin_agrees_with_the_core():
     dense, owner = dense[core[owner]], owner[core[owner]]
     distances, near = nearest(ball)
     near = np.ascontiguousarray(near[:, :12])
-    ways = mixed(dense, rng)
-    sides, signs, parts = orient_dense(
+    normals = mixed(dense, rng)
+    tile, signs, parts = orient_dense(
         np.arange(3000, dtype=np.int32),
         core,
         ball,
         mixed(ball, rng),
         near,
         surface_areas(spacing(distances), near),
-        (dense, ways, owner),
+        (dense, normals, owner),
     )
-    assert (sides.parts == 0).all()
+    assert (tile.parts == 0).all()
     assert (parts == 0).all()
-    inside = (sides.normals * ball).sum(axis=1) < 0
-    assert inside.all() or not inside.any()
-    assert (((ways * signs[:, None]) * dense).sum(axis=1) < 0).all() == inside.all()
-    outward = signs_across_tiles([sides])[0]
-    assert outward[0] == (-1.0 if inside.all() else 1.0)
+    inward = (tile.normals * ball).sum(axis=1) < 0
+    assert inward.all() or not inward.any()
+    assert (((normals * signs[:, None]) * dense).sum(axis=1) < 0).all() == inward.all()
+    outward = signs_across_tiles([tile])[0]
+    assert outward[0] == (-1.0 if inward.all() else 1.0)

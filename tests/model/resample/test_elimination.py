@@ -8,12 +8,13 @@ from pugeo_model.resample.elimination import eliminate, packing_radius
 
 
 def setup(count=5000, keep=1000):
+    """Random points of a unit square, their neighbours and radii."""
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.random((count, 2)), np.zeros((count, 1))], axis=1)
     radius = np.full(count, packing_radius(np.array(1.0 / keep)))
     distance, rows = cKDTree(points).query(points, 28, distance_upper_bound=radius[0])
-    others = np.where(np.isfinite(distance), rows, -1)[:, 1:]
-    return points, others.astype(np.int32), radius
+    neighbours = np.where(np.isfinite(distance), rows, -1)[:, 1:]
+    return points, neighbours.astype(np.int32), radius
 
 
 @pytest.mark.parametrize("keep", [0, 1, 999, 5000])
@@ -31,16 +32,16 @@ def test_survivors_are_even():
     assert evenness(points[eliminate(points, rows, radius, 1000)]) < 0.1
 
 
-def test_burdened_go_first():
-    """Candidates that are not trusted survive less often than their equals."""
+def test_a_penalty_removes_candidates_first():
+    """Candidates with a penalty survive less often than the others."""
     points, rows, radius = setup()
     penalty = np.where(np.arange(5000) % 2, 0.5, 0.0)
     kept = eliminate(points, rows, radius, 1000, penalty)
     assert (kept % 2 == 1).mean() < 0.2
 
 
-def test_a_lonely_outlier_is_not_spared():
-    """A candidate without neighbours goes all the same where it is not trusted."""
+def test_a_penalty_removes_an_outlier():
+    """A candidate without neighbours is removed if it has a penalty, and kept otherwise."""
     points, rows, radius = setup()
     points = np.append(points, [[0.5, 0.5, 3.0]], axis=0)
     rows = np.append(rows, np.full((1, rows.shape[1]), -1, dtype=np.int32), axis=0)
@@ -50,25 +51,25 @@ def test_a_lonely_outlier_is_not_spared():
     assert 5000 not in eliminate(points, rows, radius, 1000, penalty)
 
 
-def test_the_last_to_go_are_chosen_by_level():
-    """Asked once, when few are left to go; what it weighs more is thinned more."""
+def test_level_changes_weights_near_the_end():
+    """It is called once with the remaining candidates; larger factors remove more of them."""
     points, rows, radius = setup()
     left = points[:, 0] < 0.5
-    asked = []
+    calls = []
 
     def level(alive):
-        asked.append(alive.sum())
+        calls.append(alive.sum())
         return np.where(left, 10.0, 1.0)
 
     even, tilted = (eliminate(points, rows, radius, 1000, level=f) for f in (None, level))
-    assert asked == [1300]
+    assert calls == [1300]
     assert len(tilted) == 1000
     assert 0.48 < left[even].mean() < 0.52
     assert left[tilted].mean() < left[even].mean() - 0.04
 
 
 def test_impossible_count_is_refused():
-    """More survivors than candidates is an error, not a short answer."""
+    """More survivors than candidates is an error."""
     points, rows, radius = setup()
     with pytest.raises(ValueError, match="keep must lie in"):
         eliminate(points, rows, radius, 5001)

@@ -9,7 +9,7 @@ STOPS = (3, 5, 12)
 
 @pytest.fixture
 def drawn():
-    """What a ReLU leaves of 12 neighbours of 50 points: many zeros, many ties."""
+    """Outputs of a ReLU for 12 neighbours of 50 points, with many zeros and ties."""
     torch.manual_seed(0)
     return (torch.randperm(12 * 400).reshape(12, 50, 8).remainder(240) - 40.0).relu()
 
@@ -22,7 +22,7 @@ def plain(values, stops):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("turned", [False, True], ids=["contiguous", "transposed"])
 def test_pools_match_torch(drawn, dtype, turned):
-    """All pools equal torch's, values and gradients, also of what does not lie in a row."""
+    """Values and gradients equal those of torch, also for non-contiguous inputs."""
     drawn = drawn.to(dtype)
     values = (drawn.mT.contiguous().mT if turned else drawn.clone()).requires_grad_()
     other = drawn.clone().requires_grad_()
@@ -42,7 +42,7 @@ def test_pools_match_torch(drawn, dtype, turned):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_pools_without_a_gradient(drawn, dtype):
-    """What serves gives what was trained, behind the columns that lead."""
+    """The compiled kernel equals the definition, after the leading columns."""
     drawn = drawn.to(dtype)
     before = torch.rand(50, 3).to(dtype)
     with torch.inference_mode():
@@ -53,15 +53,15 @@ def test_pools_without_a_gradient(drawn, dtype):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_sums_match_torch(dtype):
-    """Each edge gets its sender's row and its receiver's, and nothing below 0."""
+    """Each edge is the rectified sum of its own, its sender's and its receiver's part."""
     torch.manual_seed(0)
     edges, sent, own = (torch.randn(*s).to(dtype) for s in ((4, 50, 8), (70, 8), (50, 8)))
     sources = torch.randint(70, (4, 50))
     wanted = (edges.double() + sent.double()[sources] + own.double()).relu()
     assert 0.3 < (wanted > 0).float().mean() < 0.7
-    trained = sums(edges.clone().requires_grad_().clone(), sent, sources, own)
+    plain_sums = sums(edges.clone().requires_grad_().clone(), sent, sources, own)
     with torch.inference_mode():
-        served = sums(edges.clone(), sent, sources, own)
+        compiled = sums(edges.clone(), sent, sources, own)
     # Torch rounds between the sums as well.
-    torch.testing.assert_close(trained.double(), wanted, rtol=0.02, atol=0.02)
-    torch.testing.assert_close(served, wanted.to(dtype))
+    torch.testing.assert_close(plain_sums.double(), wanted, rtol=0.02, atol=0.02)
+    torch.testing.assert_close(compiled, wanted.to(dtype))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled query against the rule that training differentiates."""
+"""The compiled projection against its definition in torch."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts
 from pugeo_model.resample.atlas import Atlas, ProjectionQuery
 
-CHARTS, SPOTS, WIDTH = 40, 2500, 128
+CHARTS, QUERIES, WIDTH = 40, 2500, 128
 
 
 def rotations(rng: np.random.Generator) -> np.ndarray:
@@ -24,13 +24,13 @@ def rotations(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def queries() -> ProjectionQuery:
-    """More queries than one pass takes, on charts of all sizes and directions."""
+    """More queries than one block, on charts of different sizes and directions."""
     rng = np.random.default_rng(0)
     points = 100.0 + rng.normal(size=(CHARTS, 3))
-    charts = rng.integers(CHARTS, size=(SPOTS, 3)).astype(np.int32)
+    charts = rng.integers(CHARTS, size=(QUERIES, 3)).astype(np.int32)
     spacing = rng.uniform(0.1, 0.3, CHARTS).astype(np.float32)
-    home = charts[:, 0]
-    places = points[home] + rng.normal(size=(SPOTS, 3)) * spacing[home, None]
+    first = charts[:, 0]
+    positions = points[first] + rng.normal(size=(QUERIES, 3)) * spacing[first, None]
     frames = Frames(
         axes=rotations(rng),
         spacing=spacing,
@@ -46,11 +46,11 @@ def queries() -> ProjectionQuery:
         code=rng.normal(size=(CHARTS, WIDTH)).astype(np.float16),
         lift=rng.normal(scale=0.1, size=CHARTS).astype(np.float32),
     )
-    return ProjectionQuery(atlas, places, charts)
+    return ProjectionQuery(atlas, positions, charts)
 
 
-def test_the_compiled_landing_follows_the_rule(queries: ProjectionQuery) -> None:
-    """Steps, normals and expected errors are those of ``blend``, up to bfloat16."""
+def test_the_compiled_projection_equals_its_definition(queries: ProjectionQuery) -> None:
+    """Steps, normals and predicted errors equal those of ``blend`` up to bfloat16."""
     torch.manual_seed(0)
     surface = Surface(16, WIDTH, 64)
     with torch.no_grad():
@@ -64,7 +64,7 @@ def test_the_compiled_landing_follows_the_rule(queries: ProjectionQuery) -> None
         torch.from_numpy(atlas.lift)[flat],
         torch.from_numpy(frames.quadric)[flat],
     )
-    offsets = (queries.queries[:, None] - atlas.points[queries.charts]).astype(np.float32)
+    offsets = (queries.points[:, None] - atlas.points[queries.charts]).astype(np.float32)
     spacing = torch.from_numpy(frames.spacing)[rows]
     with torch.inference_mode(), wide_products():
         step, normals, log_error, _ = blend(
@@ -75,7 +75,7 @@ def test_the_compiled_landing_follows_the_rule(queries: ProjectionQuery) -> None
             spacing,
         )
     found = Projector(surface)(queries)
-    # A chart six spacings away extrapolates: relative to how far the query point is moved at all.
+    # Relative to the move, since charts far from a query extrapolate.
     scale = 1.0 + step.norm(dim=1).numpy()
     assert np.quantile(np.abs(found[0] - step.numpy()).max(axis=1) / scale, 0.99) < 0.01
     assert np.quantile(np.abs(found[1] - normals.numpy()).max(axis=1), 0.95) < 0.02
@@ -83,17 +83,17 @@ def test_the_compiled_landing_follows_the_rule(queries: ProjectionQuery) -> None
     assert np.allclose(np.linalg.norm(found[1], axis=1), 1.0, atol=1e-5)
 
 
-def test_a_landing_repeats_to_the_bit(queries: ProjectionQuery) -> None:
-    """The same queries give the same bytes, whatever the buffers held before."""
+def test_a_projection_is_reproducible(queries: ProjectionQuery) -> None:
+    """The same queries give the same bytes, with used buffers too."""
     projector = Projector(Surface(16, WIDTH, 64))
     once, twice = projector(queries), projector(queries)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))
 
 
-def test_a_processor_without_bfloat16_lands_alike(
+def test_a_processor_without_bfloat16(
     queries: ProjectionQuery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the wide layer is multiplied in float32, points come to lie where they would."""
+    """With the wide layer in float32 the results are nearly the same."""
     surface = Surface(16, WIDTH, 64)
     projected = []
     for pays in (True, False):
