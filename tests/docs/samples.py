@@ -82,7 +82,7 @@ def samples(target: Path) -> None:
     rng = np.random.default_rng(0)
 
     def sample(name: str, count: int, noise: float = 0.0) -> None:
-        points = poisson_disk(vertices, faces, count, rng)[0]
+        points = poisson_disk(vertices, faces, count, rng)
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         noisy = points + rng.normal(0, noise, points.shape)
         write(Cloud(noisy.astype(np.float32)), target / name)
