@@ -102,6 +102,12 @@ def test_what_an_import_brings_along(root: Path, imports: str, banned: set[str])
     assert not banned & set(run(f"import {imports}; print(*sys.modules)", root).split())
 
 
+def test_options_are_light(root: Path) -> None:
+    """Importing the options loads neither torch nor numba nor scipy."""
+    heavy = {"torch", "numba", "scipy"}
+    assert not heavy & set(run("import pugeo_model.options; print(*sys.modules)", root).split())
+
+
 def test_torch_has_its_homes(root: Path) -> None:
     """Only the network, its training and its weights import torch, at the top or within."""
     strangers = []
