@@ -96,8 +96,7 @@ def test_no_seam_shows(upsampler, ball):
     )
     # Without the separation at the seams, 2 to 14 points of such a ball are as close to another
     # one as 0.13 of the smallest distance here.
-    assert tiles[0] > 0.9 * once[0]
-    assert (tiles[2:100] > 0.95 * once[2:100]).all()
+    assert (tiles[:100] > 0.9 * once[:100]).all()
     assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
     assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
 
