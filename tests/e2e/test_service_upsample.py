@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""POST /upsample of a real service: every way in, every way out, and what the headers say."""
+"""POST /upsample of a real service: all input and output formats, headers, options."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from pugeo_model.formats import FORMATS
 
 
 class Server(Protocol):
-    """What the fixture `server` gives."""
+    """Value of the fixture `server`."""
 
     url: str
 
@@ -84,21 +84,21 @@ def test_every_way_in_and_out(
 
 
 def test_a_form(server: Server, cloud: Cloud) -> None:
-    """A browser's upload and curl -F work too."""
+    """A multipart upload, as of browsers and curl -F, works."""
     response = post(server, "?R=2", files={"file": ("scan.ply", encode(cloud, "ply"))})
     assert response.status_code == 200, response.text
     assert len(decode(response.content, "ply")) == 1200
 
 
 def test_a_bare_array(server: Server, cloud: Cloud) -> None:
-    """An NPY file of points is enough."""
+    """An NPY file of points is accepted."""
     response = post(server, "?R=2", content=npy(cloud.points))
     assert response.status_code == 200, response.text
     assert len(decode(response.content, "ply")) == 1200
 
 
 def test_a_body_of_unknown_length(server: Server, cloud: Cloud) -> None:
-    """Chunked transfer, which announces no size, works."""
+    """A chunked body works."""
     data = encode(cloud, "ply")
     pieces = (data[start : start + 1000] for start in range(0, len(data), 1000))
     response = post(server, "?R=2", content=pieces)
@@ -107,7 +107,7 @@ def test_a_body_of_unknown_length(server: Server, cloud: Cloud) -> None:
 
 @pytest.mark.parametrize("accept", ["application/x-npz", "application/json;q=0.2, model/ply"])
 def test_accept(server: Server, cloud: Cloud, accept: str) -> None:
-    """The header chooses where the query does not, and the answer says that it did."""
+    """Accept selects the format if the query does not, and Vary lists it."""
     response = post(server, content=encode(cloud, "ply"), headers={"Accept": accept})
     expected = "npz" if "npz" in accept else "ply"
     assert response.headers["content-type"] == FORMATS[expected].MEDIA_TYPES[0]
@@ -115,7 +115,7 @@ def test_accept(server: Server, cloud: Cloud, accept: str) -> None:
 
 
 def test_json_in_means_json_out(server: Server) -> None:
-    """Whoever sends JSON and takes anything gets JSON."""
+    """A JSON body with any Accept gets JSON."""
     points = np.random.default_rng(0).normal(size=(50, 3)).tolist()
     response = post(server, "?R=2", json={"points": points})
     found = json.loads(response.content)
@@ -124,7 +124,7 @@ def test_json_in_means_json_out(server: Server) -> None:
 
 
 def test_headers(server: Server, cloud: Cloud) -> None:
-    """The answer says which model, how many points, what was dropped, and where time went."""
+    """Headers contain the model, the numbers of points, dropped points, and times of stages."""
     points = np.concatenate([cloud.points, cloud.points[:7], np.full((5, 3), np.nan)])
     response = post(
         server,
@@ -145,13 +145,13 @@ def test_headers(server: Server, cloud: Cloud) -> None:
     assert int(headers["content-length"]) == len(response.content)
     stages = [part.split(";dur=") for part in headers["server-timing"].split(", ")]
     assert [stage for stage, _ in stages] == [
-        "queue", "read", "prepare", "predict", "land", "merge", "finish", "write", "collect",
+        "queue", "read", "prepare", "predict", "merge", "project", "finish", "write", "collect",
     ]  # fmt: skip
     assert all(float(spent) >= 0 for _, spent in stages)
 
 
 def test_options_reach_the_model(server: Server, cloud: Cloud) -> None:
-    """Count, seed and viewpoint do what they say, and the same seed gives the same bytes."""
+    """Count, seed and viewpoint have an effect, and the same seed gives the same bytes."""
     data = encode(cloud, "ply")
 
     def ask(query: str) -> bytes:
@@ -171,7 +171,7 @@ def test_options_reach_the_model(server: Server, cloud: Cloud) -> None:
 
 
 def test_large_coordinates_stay_double(server: Server, cloud: Cloud) -> None:
-    """A scan in UTM coordinates comes back in double precision, where it was."""
+    """A scan in UTM coordinates keeps its precision and its place."""
     offset = np.array([500_000.0, 5_400_000.0, 300.0])
     data = encode(Cloud(cloud.points.astype(np.float64) + offset), "ply")
     dense = decode(post(server, "?R=2", content=data).content, "ply")
@@ -180,7 +180,7 @@ def test_large_coordinates_stay_double(server: Server, cloud: Cloud) -> None:
 
 
 def test_the_service_computes_what_the_library_does(server: Server) -> None:
-    """Workers, batches and transport change nothing: the bytes are those of one process."""
+    """The service gives the same points as the library in one process."""
     from pugeo_model.upsampler import Upsampler
 
     directions = np.random.default_rng(3).normal(size=(5000, 3))
