@@ -74,9 +74,15 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     elif tile.noisy is not None:
         projected = replace(projected, points=_evened(prepared, projected))
     normals, signs, parts = _oriented(prepared, projected)
-    source = Cloud(prepared.points, colors=prepared.cloud.colors, scalars=prepared.cloud.scalars)
+    source = replace(prepared.cloud, points=prepared.points)
     colors, scalars = transfer_attributes(source, projected.points)
-    dense = Cloud(tile.normalisation.world(projected.points), normals, colors, scalars)
+    dense = replace(
+        prepared.cloud,
+        points=tile.normalisation.world(projected.points),
+        normals=normals,
+        colors=colors,
+        scalars=scalars,
+    )
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
     border = Border(signs, None if prepared.core.all() else _border_points(prepared, projected))
@@ -117,17 +123,29 @@ def _oriented(
     if tile.orient == "input":
         own, _ = orient(prepared.points, axes, "input", None, prepared.cloud.normals, graph)
         return transfer_signs(projected.normals, projected.nearest, own), None, None
-    viewpoint = tile.viewpoint and tile.normalisation.unit(tile.viewpoint)
     normals, _ = orient(
         projected.points,
         projected.normals,
         tile.orient,
-        viewpoint,
+        _viewpoints(prepared, projected),
         None,
         _NO_NEIGHBOURS,
         tile.centroid,
     )
     return normals, None, None
+
+
+def _viewpoints(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64] | None:
+    """Sensor positions, unit scale: ``(3,)`` for all dense points, or ``(K, 3)``, one for each."""
+    tile, cloud = prepared.tile, prepared.cloud
+    if tile.viewpoint is not None:
+        return np.asarray(tile.normalisation.unit(tile.viewpoint))
+    if cloud.viewpoints is None:
+        return None
+    places = (cloud.viewpoints - tile.normalisation.offset) / tile.normalisation.scale
+    if len(places) == 1:
+        return np.asarray(places[0])
+    return np.asarray(places[cloud.scalars["scan"][projected.nearest]])
 
 
 def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints:

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.attributes import mark_labels
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.normalise import Normalisation, normalise
 from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.orient.given import signs_agree
 from pugeo_model.orient.methods import resolve_method
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
+from pugeo_model.units import coordinate_warnings
 
 __all__ = ["Plan", "make_plan"]
 
@@ -105,7 +108,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` asks for
             data that the cloud does not have.
     """
-    cleaned, dropped = clean(cloud)
+    cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
@@ -120,8 +123,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
     if noise is not None and noise > TUNING.noisy and not options.keeps_points(count):
         # Points of the core lean on those of the margin, so the margin is denoised as well.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
-    given = cleaned.normals is not None
-    method = resolve_method(options.orient, options.viewpoint, has_normals=given)
+    cleaned, method = _choose_signs(cleaned, options)
     report = {
         "points_in": len(cloud),
         "points_used": count,
@@ -131,7 +133,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         "tiles": len(specs),
         "ratio": n_out / count,
         "orient": method,
-        "notes": list(cleaned.notes),
+        "notes": [*cleaned.notes, *coordinate_warnings(cleaned.points)],
     }
     return Plan(
         cloud=cleaned,
@@ -146,3 +148,20 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         n_out=n_out,
         report=report,
     )
+
+
+def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:
+    """Choose the method that gives normals their signs, with a note where the input misleads.
+
+    ``auto`` means the input's normals if their signs agree, else a viewpoint if there is one.
+    """
+    given = cloud.normals is not None
+    viewpoint = cloud.viewpoints if options.viewpoint is None else options.viewpoint
+    method = resolve_method(options.orient, viewpoint, has_normals=given)
+    if method != "input" or signs_agree(cloud):
+        return cloud, method
+    note = "The input's normals have random signs: neighbours often point to opposite sides."
+    if options.orient == "auto":
+        method = resolve_method("auto", viewpoint, has_normals=False)
+        note += f" The signs come from {method!r} instead."
+    return replace(cloud, notes=(*cloud.notes, note)), method

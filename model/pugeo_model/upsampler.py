@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.assembly import Result, assemble
 from pugeo_model.cloud import Cloud
+from pugeo_model.formats.meaning import from_array
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import LocalStages, run_here, upsample_tile
@@ -45,14 +46,14 @@ class Upsampler:
         """Upsample a cloud; arguments as in :class:`Options`.
 
         Args:
-            cloud: a cloud, or points ``(M, 3)``.
+            cloud: a cloud, or ``(M, K)`` numbers: points, and further columns as in `from_array`.
             progress: called with the name of a stage, the patches done, and all patches.
 
         Raises:
             CloudError: the cloud or an option cannot be used.
         """
         if not isinstance(cloud, Cloud):
-            cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
+            cloud = from_array(np.asarray(cloud))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
         return self.upsample(make_plan(cloud, options), progress)
 

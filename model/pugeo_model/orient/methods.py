@@ -24,7 +24,7 @@ def orient(
     points: NDArray[Any],
     normals: NDArray[Any],
     method: str,
-    viewpoint: tuple[float, float, float] | None,
+    viewpoint: tuple[float, float, float] | NDArray[np.float64] | None,
     input_normals: NDArray[Any] | None,
     neighbours: NDArray[np.integer[Any]],
     centroid: NDArray[Any] | None = None,
@@ -46,7 +46,7 @@ def orient(
         points: ``(M, 3)`` float, the sparse input.
         normals: ``(M, 3)`` float, unit length, of any sign.
         method: one of ``METHODS``.
-        viewpoint: in the frame of ``points``.
+        viewpoint: in the frame of ``points``: one, or ``(M, 3)``, one for each point.
         input_normals: ``(M, 3)`` float, of any length, or ``None``.
         neighbours: ``(M, k)`` rows of ``points`` near each point. The point itself, and numbers
             outside ``0..M-1``, are skipped.
@@ -76,7 +76,10 @@ def orient(
 
 
 def resolve_method(
-    method: str, viewpoint: tuple[float, float, float] | None, *, has_normals: bool
+    method: str,
+    viewpoint: tuple[float, float, float] | NDArray[np.float64] | None,
+    *,
+    has_normals: bool,
 ) -> str:
     """Return the method that will be used: what ``"auto"`` stands for, or ``method`` itself.
 
