@@ -51,6 +51,7 @@ class VertexColumns:
                 code="missing_property",
                 missing=missing,
             )
+        self._label = label
         self.notes: list[str] = []
         self.sinks: dict[str, NDArray[Any]] = {}
         count = element.count
@@ -105,7 +106,9 @@ class VertexColumns:
                     colors = unpack_rgb(self._scalars[name])
                     if colors is not None:
                         del self._scalars[name]
-                        self.notes.append(f"Column {name!r} was unpacked into red, green, blue.")
+                        if self._label != "PCD":  # there it is the rule
+                            note = f"Column {name!r} was unpacked into red, green, blue."
+                            self.notes.append(note)
                         return colors
             return None
         colors, note = to_channels(self._colors)
