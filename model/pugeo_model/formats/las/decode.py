@@ -24,11 +24,6 @@ _BLOCK_ROWS = 1 << 16
 _SPOOL_BYTES = 1 << 24
 _CHANNELS = ("red", "green", "blue")
 _NORMALS = ("normalx", "normaly", "normalz")
-# Rarely used fields of the standard; a file without them is the same as one with zeros.
-_OFTEN_ZERO = frozenset(
-    "synthetic key_point withheld overlap scanner_channel scan_direction_flag edge_of_flight_line "
-    "user_data point_source_id".split()
-)
 _WAVES = frozenset(
     "wavepacket_index wavepacket_offset wavepacket_size return_point_wave_location x_t y_t "
     "z_t".split()
@@ -43,7 +38,7 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
 
     Colours stay 16-bit, or become 8-bit where none exceeds 255. Extra dimensions are scalars, and
     ``NormalX``, ``NormalY``, ``NormalZ`` among them normals. Standard fields keep the names that
-    laspy gives them; flags and ids that are zero everywhere are left out.
+    laspy gives them; those that are zero everywhere are left out, apart from the classification.
 
     Args:
         file: seekable, at the first byte.
@@ -71,8 +66,10 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
                     found_rows=found,
                 )
             info, crs = _info(header), _crs(header)
+            standard = set(header.point_format.standard_dimension_names)
     columns = {name: np.concatenate([b[name] for b in blocks]) for name in (blocks or [{}])[0]}
-    return _cloud(columns, SourceInfo("las", crs, info), extended)
+    fields = [name for name in columns if name in standard and name not in _CHANNELS]
+    return _cloud(columns, fields, SourceInfo("las", crs, info), extended)
 
 
 @contextmanager
@@ -125,7 +122,10 @@ def _columns(block: Any) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _cloud(columns: dict[str, NDArray[Any]], source: SourceInfo, extended: int) -> Cloud:
+def _cloud(
+    columns: dict[str, NDArray[Any]], fields: list[str], source: SourceInfo, extended: int
+) -> Cloud:
+    """Build the cloud; ``fields`` are the standard dimensions among the columns."""
     notes: list[str] = []
     if extended:
         notes.append(f"{extended:,} extended records after the points are dropped.")
@@ -137,6 +137,9 @@ def _cloud(columns: dict[str, NDArray[Any]], source: SourceInfo, extended: int) 
     colors: NDArray[Any] | None = None
     if all(name in columns for name in _CHANNELS):
         colors, note = to_channels(np.stack([columns.pop(n) for n in _CHANNELS], axis=1))
+        if colors.dtype == np.uint16 and not (colors % np.uint16(257)).any():
+            # 65535 / 255 = 257: colours of 8 bits, spread over the range as the standard asks.
+            colors = (colors // np.uint16(257)).astype(np.uint8)
         if note is not None:
             notes.append(note)
             source = replace(source, header=replace(source.header, narrow_colors=True))
@@ -146,7 +149,8 @@ def _cloud(columns: dict[str, NDArray[Any]], source: SourceInfo, extended: int) 
         parts = [columns.pop(lowered[name]) for name in _NORMALS]
         with np.errstate(over="ignore", invalid="ignore"):
             normals = np.stack(parts, axis=1).astype(np.float32)
-    zero = [name for name in columns if name in _OFTEN_ZERO and not columns[name].any()]
+    # A file without a field is the same as one with zeros; classes are kept, since 0 is one.
+    zero = [name for name in fields if name != "classification" and not columns[name].any()]
     scalars = {
         name: values
         for name, values in columns.items()

@@ -233,6 +233,8 @@ def _free_name(name: str, taken: set[str]) -> str:
     """A name of at most 32 bytes that no other dimension has."""
     word = name.encode("utf-8", "replace")[:_MOST_NAME].decode("utf-8", "ignore") or "scalar"
     free, number = word, 2
+    if free in taken:
+        free = f"scalar_{word}".encode()[:_MOST_NAME].decode("utf-8", "ignore")
     while free in taken:
         tail = f"_{number}"
         free = word.encode()[: _MOST_NAME - len(tail)].decode("utf-8", "ignore") + tail
