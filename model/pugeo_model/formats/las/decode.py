@@ -20,7 +20,7 @@ from pugeo_model.formats.stream import bytes_left
 
 __all__ = ["read"]
 
-_BLOCK_ROWS = 1 << 16
+_BLOCK_ROWS, _BLOCK_BYTES = 1 << 16, 1 << 24
 _SPOOL_BYTES = 1 << 24
 _CHANNELS = ("red", "green", "blue")
 _NORMALS = ("normalx", "normaly", "normalz")
@@ -56,7 +56,8 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         with laspy.open(source, closefd=False, laz_backend=backend, read_evlrs=False) as reader:
             header = reader.header
             extended = header.number_of_evlrs if str(header.version) == "1.4" else 0
-            blocks = [_columns(block) for block in reader.chunk_iterator(_BLOCK_ROWS)]
+            rows = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // header.point_format.size))
+            blocks = [_columns(block) for block in reader.chunk_iterator(rows)]
             found = sum(len(block["x"]) for block in blocks)
             if found != header.point_count:
                 raise MalformedFileError(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from pugeo_model.errors import MalformedFileError, UnsupportedFormatError
+from pugeo_model.formats.las.chunks import check_chunks
 from pugeo_model.formats.limits import Limits
 
 __all__ = ["LasInfo", "check", "import_laspy"]
@@ -107,26 +108,8 @@ def check(file: IO[bytes], size: int, limits: Limits) -> None:
         if start + count * row > size:
             raise _truncated(start + count * row, size, count)
     else:
-        _check_chunks(file, start, size, count)
-
-
-def _check_chunks(file: IO[bytes], start: int, size: int, count: int) -> None:
-    """Bound the number of compressed chunks, which their table states before it lists them."""
-    file.seek(start)
-    place = int.from_bytes(file.read(8), "little", signed=True)
-    if place == -1:
-        # Written to a stream: the place stands at the end.
-        file.seek(size - 8)
-        place = int.from_bytes(file.read(8), "little", signed=True)
-    chunks = 0
-    if 0 <= place <= size - 8:
-        file.seek(place + 4)
-        chunks = int.from_bytes(file.read(4), "little")
-    file.seek(0)
-    if not start + 8 <= place <= size - 8:
-        raise _truncated(place, size, count)
-    if chunks > max(count, 1):
-        raise _bad(f"{chunks:,} chunks cannot hold {count:,} points")
+        check_chunks(file, (length, records, start), size, count)
+        file.seek(0)
 
 
 def _truncated(expected: int, found: int, count: int = 0) -> MalformedFileError:
