@@ -141,16 +141,22 @@ def _fields(cloud: Cloud, position: NDArray[np.float64] | None) -> _Fields:
             fields[name] = cloud.colors[:, index]
     for name in WRITTEN:
         if name in cloud.scalars:
-            values = cloud.scalars[name]
-            fields[name] = values if values.dtype.kind == "f" else values.astype(np.int64)
-            if values.dtype.itemsize < 4 and values.dtype.kind == "f":
-                fields[name] = values.astype(np.float32)
+            fields[name] = _storable(cloud.scalars[name])
     if "intensity" in fields:
         known = np.isfinite(fields["intensity"])
         if not known.all():
             fields["isIntensityInvalid"] = (~known).astype(np.int8)
             fields["intensity"] = np.where(known, fields["intensity"], 0.0)
     return {name: np.ascontiguousarray(values) for name, values in fields.items()}
+
+
+def _storable(values: NDArray[Any]) -> NDArray[Any]:
+    """Values in a type that pye57 hands on rightly: it takes 64-bit integers for 32-bit ones."""
+    if values.dtype.kind == "f":
+        return values.astype(np.float32) if values.dtype.itemsize < 4 else values
+    bounds = np.iinfo(np.int32)
+    fits = bounds.min <= values.min(initial=0) and values.max(initial=0) <= bounds.max
+    return values.astype(np.int32 if fits else np.float64)
 
 
 def _kind(libe57: Any, image: Any, name: str, values: NDArray[Any]) -> Any:

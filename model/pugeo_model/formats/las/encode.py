@@ -192,7 +192,7 @@ def _dimensions(cloud: Cloud, header: Any) -> tuple[dict[str, str], dict[str, ND
         if field is not None and field not in standard.values() and _holds(fields[field], values):
             standard[name] = field
         else:
-            taken = {*fields, *extra, *_CHANNELS, *_NORMALS, *"XYZxyz"}
+            taken = {each.lower() for each in (*fields, *extra, *_CHANNELS, *_NORMALS, *"xyz")}
             extra[_free_name(name, taken)] = _storable(values)
     if cloud.normals is not None:
         for name, part in zip(_NORMALS, cloud.normals.T, strict=True):
@@ -230,12 +230,12 @@ def _storable(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """A name of at most 32 bytes that no other dimension has."""
+    """A name of at most 32 bytes that no other dimension has, whatever the case."""
     word = name.encode("utf-8", "replace")[:_MOST_NAME].decode("utf-8", "ignore") or "scalar"
     free, number = word, 2
-    if free in taken:
+    if free.lower() in taken:
         free = f"scalar_{word}".encode()[:_MOST_NAME].decode("utf-8", "ignore")
-    while free in taken:
+    while free.lower() in taken:
         tail = f"_{number}"
         free = word.encode()[: _MOST_NAME - len(tail)].decode("utf-8", "ignore") + tail
         number += 1
