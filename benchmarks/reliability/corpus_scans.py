@@ -90,10 +90,15 @@ def pcds(cloud: Cloud, many: Cloud) -> Iterator[bytes]:
         f"VIEWPOINT 1 2 3 1 0 0 0\nPOINTS {count}\nDATA "
     ).encode()
     yield head + b"binary\n" + rows.tobytes()
-    columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names or ())
+    columns = b"".join(
+        np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names or ()
+    )
     packed = lzf_packed(columns)
     yield head + b"binary_compressed\n" + struct.pack("<II", len(packed), len(columns)) + packed
-    text = "".join(f"{x:g} {y:g} nan 1 2 3 4 1056816 0.5 1 2 3 {i}\n" for i, (x, y, _) in enumerate(cloud.points))
+    text = "".join(
+        f"{x:g} {y:g} nan 1 2 3 4 1056816 0.5 1 2 3 {i}\n"
+        for i, (x, y, _) in enumerate(cloud.points)
+    )
     yield head + b"ascii\n" + text.encode()
 
 
@@ -111,7 +116,9 @@ def ptxs(cloud: Cloud, many: Cloud) -> Iterator[bytes]:
 def objs(cloud: Cloud, many: Cloud) -> Iterator[bytes]:
     """With colours, normals, faces and remarks; a large one."""
     rows = [" ".join(f"{value:g}" for value in row) for row in cloud.points]
-    yield ("# made\no one\n" + "".join(f"v {row}\n" for row in rows) + "f 1 2 3\nf 1/2/3 2//1 3\n").encode()
+    yield (
+        "# made\no one\n" + "".join(f"v {row}\n" for row in rows) + "f 1 2 3\nf 1/2/3 2//1 3\n"
+    ).encode()
     yield "".join(f"v {row} 0.1 0.2 1\nvn 0 0 1\nvt 0 1\n" for row in rows).encode()
     yield "".join(f"v {row[0]:g} {row[1]:g} {row[2]:g}\n" for row in many.points[:20_000]).encode()
 
@@ -129,7 +136,9 @@ def stls(cloud: Cloud, many: Cloud) -> Iterator[bytes]:
 
 
 def _binary_stl(points: NDArray[np.float32]) -> bytes:
-    rows = np.zeros(len(points), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    rows = np.zeros(
+        len(points), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
+    )
     rows["corners"][:, 0], rows["corners"][:, 1] = points, [[0, 1, 0]]
     return b"made".ljust(80) + struct.pack("<I", len(points)) + rows.tobytes()
 

@@ -68,7 +68,9 @@ _WORDS |= {
     ).split(b"|"),
     "ptx": b"0 0 0 0.5|1 0 0 0|1 0 0|nan|inf|\n|\r\n| |-1|1e400|4\n2\n".split(b"|"),
     "obj": b"v |vn |vt |f |o |# |/|1/1/1|nan|\n|\r|mtllib a.mtl|0.5 0.5 0.5".split(b"|"),
-    "stl": b"solid|endsolid|facet|normal|outer loop|endloop|endfacet|vertex|nan|\n|1e40".split(b"|"),
+    "stl": b"solid|endsolid|facet|normal|outer loop|endloop|endfacet|vertex|nan|\n|1e40".split(
+        b"|"
+    ),
     "e57": (
         b"data3D|points|prototype|cartesianX|sphericalRange|intensity|colorRed|nor:normalX|pose|"
         b"rotation|translation|Integer|ScaledInteger|Float|Structure|Vector|CompressedVector|Blob|"

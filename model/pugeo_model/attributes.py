@@ -56,10 +56,10 @@ def mark_labels(cloud: Cloud) -> Cloud:
             whole.append(name)
     notes = cloud.notes
     if whole:
-        notes = (
-            *notes,
-            f"Scalars with whole values only are taken from the nearest point, not averaged: "
-            f"{', '.join(whole)}.",
+        listed = ", ".join(whole)
+        notes += (
+            "Scalars with whole values only are taken from the nearest point, not averaged: "
+            + f"{listed}.",
         )
     return replace(cloud, labels=frozenset([*named, *whole]), notes=notes)
 

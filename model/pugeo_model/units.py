@@ -25,7 +25,7 @@ def coordinate_warnings(points: NDArray[Any]) -> tuple[str, ...]:
     if len(points) < 2:
         return ()
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
-    if not np.isfinite(high - low).all():
+    if not (np.abs([low, high]) < 1e300).all():
         return ()
     wide, tall = float((high - low)[:2].max()), float(high[2] - low[2])
     inside = max(abs(low[0]), abs(high[0])) <= 180 and max(abs(low[1]), abs(high[1])) <= 90
@@ -48,7 +48,7 @@ def coordinate_warnings(points: NDArray[Any]) -> tuple[str, ...]:
 
 
 def _are_float32(points: NDArray[Any]) -> bool:
-    """Whether float32 holds all coordinates exactly."""
+    """True if float32 holds all coordinates exactly."""
     if points.dtype == np.float32:
         return True
     with np.errstate(over="ignore"):

@@ -145,8 +145,10 @@ def test_floating_labels() -> None:
     cloud = mark_labels(Cloud(CORNERS, scalars=scalars))
     assert cloud.labels == {"scalar_Classification", "gps_time", "scalar_Whole"}
     assert cloud.notes == (
-        "Scalars with whole values only are taken from the nearest point, not averaged: "
-        "scalar_Whole.",
+        (
+            "Scalars with whole values only are taken from the nearest point, not averaged: "
+            "scalar_Whole."
+        ),
     )
     _, found = transfer_attributes(cloud, np.array([[0.4, 0.1, 0], [0.6, 0, 0]]))
     assert found["scalar_Classification"].tolist() == [2.5, 6]

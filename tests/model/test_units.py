@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pugeo_model import Cloud
 from pugeo_model.options import Options
@@ -10,10 +11,11 @@ from pugeo_model.plan import make_plan
 from pugeo_model.units import coordinate_warnings
 
 
-def hill(count: int = 3000) -> np.ndarray:
+def hill(count: int = 3000) -> NDArray[np.float64]:
     """A hill of 200 m in a field of 1 km."""
     xy = np.random.default_rng(0).uniform(-500, 500, (count, 2))
-    return np.c_[xy, 200 * np.exp(-(xy**2).sum(axis=1) / 5e4)]
+    height = 200 * np.exp(-(xy**2).sum(axis=1) / 5e4)
+    return np.column_stack([xy, height])
 
 
 def test_metres() -> None:

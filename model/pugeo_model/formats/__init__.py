@@ -63,7 +63,7 @@ class Reader(Protocol):
     MEDIA_TYPES: tuple[str, ...]
 
     def sniff(self, head: bytes, /) -> bool:
-        """Whether a file that begins with these bytes is of this format."""
+        """True if a file that begins with these bytes is of this format."""
 
     def read(self, file: IO[bytes], limits: Limits, /) -> Cloud:
         """Read a seekable file from its current position."""
@@ -162,8 +162,8 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
             name = os.fspath(source) if isinstance(source, str | os.PathLike) else None
             module = FORMATS[detect(file, name=name)]
         cloud = module.read(file, limits)
-    source = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
-    return replace(cloud, source=source)
+    info = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
+    return replace(cloud, source=info)
 
 
 def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
@@ -204,12 +204,13 @@ def dropped(cloud: Cloud, format: str) -> str | None:
         cloud: the cloud to be written.
         format: a key of ``WRITABLE``.
     """
-    names = getattr(WRITABLE[format], "drops", lambda _: [])(cloud)
+    module = WRITABLE[format]
+    names: list[str] = module.drops(cloud) if hasattr(module, "drops") else []
     return f"Not written, since {format} has no room for it: {', '.join(names)}." if names else None
 
 
 def by_rows(cloud: Cloud, format: str) -> bool:
-    """Whether clouds like this one can be written part by part, by the format in ``BY_ROWS``.
+    """True if clouds like this one can be written part by part, by the format in ``BY_ROWS``.
 
     Scalars of 64-bit integers are stored in a type that holds all values, which no part knows.
     """

@@ -48,7 +48,7 @@ _Item = TypeVar("_Item")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a JSON object."""
+    """True if a file with these first bytes is a JSON object."""
     return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
@@ -179,7 +179,9 @@ def _to_colors(rows: list[list[int | float]]) -> NDArray[Any]:
         if len(beyond):
             index = int(beyond[0])
             raise _bad(
-                f"$.colors[{index}]: whole numbers must be in 0..255, or in 0..65535 of 16 bits.", key="colors", row=index
+                f"$.colors[{index}]: whole numbers must be in 0..255, or in 0..65535 of 16 bits.",
+                key="colors",
+                row=index,
             )
         values = values.astype(np.uint16 if values.max(initial=0) > 255 else np.uint8)
     return to_channels(values)[0]

@@ -17,7 +17,7 @@ _FORMAT = 104  # byte of the point format, whose upper bit says that points are 
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a LAZ file."""
+    """True if a file with these first bytes is a LAZ file."""
     return head.startswith(b"LASF") and len(head) > _FORMAT and head[_FORMAT] >= 128
 
 

@@ -48,7 +48,7 @@ def standard_name(name: str) -> str | None:
 
 
 def are_whole(values: NDArray[Any]) -> bool:
-    """Whether all values are whole numbers that float64 holds exactly (NaN is none)."""
+    """True if all values are whole numbers that float64 holds exactly (NaN is none)."""
     with np.errstate(invalid="ignore"):
         return bool(((np.abs(values) <= 2**53) & (values == np.rint(values))).all())
 
@@ -131,22 +131,19 @@ def _kind(table: NDArray[Any], column: int, counted: bool) -> str | None:
         return None
     if _are_unit(triple):
         return "normals"
-    last = column + 3 == width
     if counted and column == 3 and width == 7:
         # PTS: the intensity comes first.
         return None
-    after_one_more = column == 4 and last
-    if column in (3, 6) or after_one_more:
-        if _are_bytes(triple, strict=not counted):
-            return "colours"
-        if column == 3 and last and _are_whole_up_to(triple, 65535) and triple.max() > 255:
-            return "colours"
-    normals_follow = width == 9 and column == 3 and _are_unit(table[:, 6:9])
-    if column == 3 and (last or normals_follow) and _are_shares(triple):
-        return "colours"
-    if column == 6 and last and _are_shares(triple) and _are_unit(table[:, 3:6]):
-        return "colours"
-    return None
+    last = column + 3 == width
+    beside_normals = last and column == 6 and _are_unit(table[:, 3:6])
+    before_normals = width == 9 and column == 3 and _are_unit(table[:, 6:9])
+    alone = last and column == 3
+    found = (
+        ((column in (3, 6) or (column == 4 and last)) and _are_bytes(triple, strict=not counted))
+        or (alone and _are_whole_up_to(triple, 65535) and triple.max() > 255)
+        or ((alone or before_normals or beside_normals) and _are_shares(triple))
+    )
+    return "colours" if found else None
 
 
 def _channels(triple: NDArray[Any]) -> NDArray[Any]:
@@ -169,7 +166,7 @@ def _scalars(
 
 
 def _are_unit(rows: NDArray[Any]) -> bool:
-    """Whether rows have unit length; up to half of them may be zero or missing."""
+    """True if rows have unit length; up to half of them may be zero or missing."""
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt((rows.astype(np.float64) ** 2).sum(axis=1))
         unit = np.abs(lengths - 1.0) <= _UNIT
@@ -188,5 +185,5 @@ def _are_whole_up_to(rows: NDArray[Any], top: int) -> bool:
 
 
 def _are_shares(rows: NDArray[Any]) -> bool:
-    """Whether all values are in 0..1 and not all of them whole."""
+    """True if all values are in 0..1 and not all of them whole."""
     return bool(((rows >= 0) & (rows <= 1)).all() and (rows != np.rint(rows)).any())

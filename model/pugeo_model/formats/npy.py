@@ -18,7 +18,7 @@ MEDIA_TYPES: tuple[str, ...] = ("application/x-npy",)
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an array."""
+    """True if a file with these first bytes is an array."""
     return head.startswith(NPY_MAGIC)
 
 

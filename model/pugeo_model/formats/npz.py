@@ -38,7 +38,7 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an archive."""
+    """True if a file with these first bytes is an archive."""
     return head.startswith(_ZIP)
 
 

@@ -102,7 +102,7 @@ class NumberLines:
         return passed
 
     def __bool__(self) -> bool:
-        """Whether anything but blank lines is left."""
+        """True if anything but blank lines is left."""
         return self._fill()
 
     def _fill(self) -> bool:
@@ -130,7 +130,7 @@ class NumberLines:
 
     @property
     def _bare_returns(self) -> bool:
-        """Whether a carriage return alone ends a line."""
+        """True if a carriage return alone ends a line."""
         return self._translate is not None and self._translate[13] == 10
 
     def _plain(self, lines: bytes) -> bytes:

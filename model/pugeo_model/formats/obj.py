@@ -20,14 +20,16 @@ EXTENSIONS: tuple[str, ...] = (".obj",)
 MEDIA_TYPES: tuple[str, ...] = ("model/obj",)
 
 _MAX_LINE_BYTES = 1 << 22
-_START = re.compile(rb"(?:[ \t]*(?:#[^\r\n]*|(?:mtllib|o|g|s|usemtl)[ \t][^\r\n]*)?[\r\n]+)*v[ \t]+[-+.\d]")
+_START = re.compile(
+    rb"(?:[ \t]*(?:#[^\r\n]*|(?:mtllib|o|g|s|usemtl)[ \t][^\r\n]*)?[\r\n]+)*v[ \t]+[-+.\d]"
+)
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]([^\r\n]*)", re.MULTILINE)
 _NORMAL = re.compile(rb"^[ \t]*vn[ \t]([^\r\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an OBJ file."""
+    """True if a file with these first bytes is an OBJ file."""
     return _START.match(head.removeprefix(b"\xef\xbb\xbf")) is not None
 
 

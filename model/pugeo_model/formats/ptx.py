@@ -55,7 +55,7 @@ class _Scan:
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a PTX file."""
+    """True if a file with these first bytes is a PTX file."""
     return _HEADER.match(head) is not None
 
 
@@ -220,7 +220,9 @@ def _rows(cloud: Cloud, position: NDArray[np.float64]) -> Iterator[bytes]:
     intensity = cloud.scalars.get("intensity", np.full(len(cloud), 0.5))
     colors = None if cloud.colors is None else to_uint8(cloud.colors[:, :3])[0]
     finest = "%.17g" if intensity.dtype == np.float64 else "%.9g"
-    line = " ".join([digits] * 3) + f" {finest}" + (" %d %d %d" if colors is not None else "") + "\n"
+    line = (
+        " ".join([digits] * 3) + f" {finest}" + (" %d %d %d" if colors is not None else "") + "\n"
+    )
     for start in range(0, len(cloud), _BLOCK_ROWS):
         part = slice(start, start + _BLOCK_ROWS)
         points = cloud.points[part].astype(np.float64) - position

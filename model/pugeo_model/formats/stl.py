@@ -25,7 +25,7 @@ _VERTEX = re.compile(rb"vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is STL as text; binary STL has no mark of its own."""
+    """True if a file with these first bytes is STL as text; binary STL has no mark of its own."""
     return _TEXT.match(head) is not None
 
 

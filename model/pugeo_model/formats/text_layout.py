@@ -19,7 +19,9 @@ __all__ = ["Layout", "as_utf8", "find_layout", "plain_head"]
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _SPOOL_BYTES = 1 << 24
 _MOST_LINES = 200  # before the first row
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE
+)
 _LINE = re.compile(r"[^\r\n]*(\r\n?|\n|$)")
 _QUOTED_CELL = re.compile(r'\s*(?:"([^"]*)"|\'([^\']*)\')\s*')
 _TRACKS = "POINT3D_ID, X, Y, Z, R, G, B, ERROR"

@@ -29,12 +29,13 @@ MEDIA_TYPES: tuple[str, ...] = ("text/plain", "text/csv")
 
 _HEAD_BYTES = 65_536
 _MAX_COLUMNS = 256
+_GROUPS = (frozenset(["red", "green", "blue", "alpha"]), frozenset(["nx", "ny", "nz"]))
 _TABLE = bytes.maketrans(b',;"', b"   ")
 _TABLE_MAC = bytes.maketrans(b',;"\r', b"   \n")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether the first lines are numbers, three or more, with a count or names before them."""
+    """True if the first lines are numbers, three or more, with a count or names before them."""
     try:
         return find_layout(plain_head(head)) is not None
     except MalformedFileError:
@@ -198,8 +199,13 @@ def _standard_names(names: list[str]) -> tuple[list[str | None], list[str]]:
     """PLY names where columns have a standard meaning, ``None`` for an index, and notes."""
     found: list[str | None] = []
     notes: list[str] = []
+    there = {standard_name(name) for name in names}
     for name in names:
         standard = standard_name(name)
+        # "a" alone is no alpha, nor "r" alone red.
+        group = next((group for group in _GROUPS if standard in group), frozenset())
+        if not group - {"alpha"} <= there:
+            standard = None
         if not name or name == "Unnamed: 0":
             found.append(None)
             notes.append("The column without a name (an index) is dropped.")

@@ -64,7 +64,7 @@ def _are_colors(normals: NDArray[np.float32]) -> bool:
 
 
 def signs_agree(cloud: Cloud) -> bool:
-    """Whether the signs of neighbouring normals agree, as those of one surface do.
+    """True if the signs of neighbouring normals agree, as those of one surface do.
 
     Most estimators give axes of random sign. Of a sample of points, the six nearest neighbours
     are asked for the sign of the product of normals, as far as both axes are within 60 degrees.

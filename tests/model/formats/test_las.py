@@ -149,6 +149,7 @@ def test_colors_of_8_bits(parse: Parse, dump: Dump) -> None:
 def test_header_travels_between_processes(parse: Parse) -> None:
     """Facts about the file can be pickled, as workers of the service need."""
     source = parse(made()).source
+    assert source is not None
     assert pickle.loads(pickle.dumps(source)).header == source.header  # noqa: S301 - our own
 
 
@@ -183,7 +184,7 @@ def _with(data: bytes, offset: int, packed: bytes) -> bytes:
         (247, struct.pack("<Q", 41), "ends too early"),
     ],
 )
-def test_lying_headers(parse: Parse, offset: int, packed: bytes, match: str) -> None:
+def test_lying_headers(offset: int, packed: bytes, match: str) -> None:
     """A number that cannot be is refused before anything is allocated for it."""
     data = _with(made(), offset, packed)
     with pytest.raises((MalformedFileError, LimitExceededError), match=match):

@@ -57,9 +57,9 @@ def test_broken_obj(text: str, match: str) -> None:
         read(io.BytesIO(text.encode()), format="obj")
 
 
-def test_stl(tmp_path: object, parse: Parse) -> None:
+def test_stl(parse: Parse) -> None:
     """Corners of text and binary files become points, each once, in their order."""
-    corners = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    corners: list[list[float]] = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
     loops = "".join(
         "facet normal 0 0 1\n outer loop\n"
         + "".join(f"  vertex {x:g} {y:g} {z:e}\n" for x, y, z in corners[i : i + 3])

@@ -125,7 +125,7 @@ def test_bad_archives(parse: Parse, arrays: dict[str, Any], match: str) -> None:
 
 
 def test_zip_bomb(parse: Parse) -> None:
-    """What an archive unpacks to is checked before it is unpacked, one by one and together."""
+    """Unpacked sizes are checked before unpacking, for each array and in total."""
     bomb = archive(compressed=True, points=np.zeros((1_000_000, 3)))
     assert len(bomb) < 200_000
     with pytest.raises(LimitExceededError) as caught:

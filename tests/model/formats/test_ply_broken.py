@@ -138,7 +138,7 @@ def test_incomplete_headers(parse: Parse, data: bytes, match: str) -> None:
     ],
 )
 def test_bad_text(parse: Parse, body: bytes, match: str) -> None:
-    """What is wrong in a text body is told by its line in the file."""
+    """A fault in a text body is reported with its line in the file."""
     with pytest.raises(MalformedFileError, match=match):
         parse(ply(["element vertex 3", *XYZ], body, TEXT))
 

@@ -46,7 +46,7 @@ def _words(row: Sequence[Any]) -> str:
 
 @dataclass(frozen=True)
 class Habit:
-    """How a program writes, and what must be understood.
+    """The file of a program, and the cloud that must be read from it.
 
     Attributes:
         kind: encoding of the body.
@@ -283,7 +283,7 @@ def test_habits(parse: Parse, name: str) -> None:
 
 @pytest.mark.parametrize("name", list(HABITS))
 def test_habits_survive_a_round_trip(parse: Parse, name: str) -> None:
-    """What was read is written as binary PLY with its types, and reads back the same."""
+    """A cloud that was read is written as binary PLY with its types, and reads back the same."""
     cloud = parse(HABITS[name].file())
     buffer = io.BytesIO()
     write(cloud, buffer, format="ply")

@@ -15,7 +15,8 @@ Dump = Callable[[Cloud, str], bytes]
 AXES = "1 0 0\n0 1 0\n0 0 1\n"
 # A quarter turn about z for row vectors, then a move.
 MATRIX = "0 1 0 0\n-1 0 0 0\n0 0 1 0\n500000 4000000 7 1\n"
-SCAN = f"2\n2\n500000 4000000 7\n{AXES}{MATRIX}" + (
+SCAN = (
+    f"2\n2\n500000 4000000 7\n{AXES}{MATRIX}"
     "1 2 3 0.25 10 20 30\n0 0 0 0.5 0 0 0\n4 5 6 0.75 1 2 255\n7 8 9 1 0 0 0\n"
 )
 MOVED = [[5e5 - 2, 4e6 + 1, 10], [5e5 - 5, 4e6 + 4, 13], [5e5 - 8, 4e6 + 7, 16]]

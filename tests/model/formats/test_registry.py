@@ -128,7 +128,7 @@ def test_unknown_content(tmp_path: Path) -> None:
 
 
 def test_extension_decides_last(tmp_path: Path) -> None:
-    """Where the content says nothing the name does, and that reader says what is wrong."""
+    """The extension decides for unknown content, and its reader names the fault."""
     path = tmp_path / "cloud.PLY"
     path.write_bytes(b"not a ply file")
     with pytest.raises(MalformedFileError, match="'ply'"):

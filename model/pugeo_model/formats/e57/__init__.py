@@ -13,7 +13,7 @@ MEDIA_TYPES: tuple[str, ...] = ("model/e57", "application/x-e57")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an E57 file."""
+    """True if a file with these first bytes is an E57 file."""
     return head.startswith(b"ASTM-E57")
 
 

@@ -225,7 +225,9 @@ def _colors(
     top = 255.0
     if node.isDefined("colorLimits"):
         limits = node["colorLimits"]
-        tops = [float(limits[f"{n}Maximum"].value()) for n in _COLORS if limits.isDefined(f"{n}Maximum")]
+        tops = [
+            float(limits[f"{n}Maximum"].value()) for n in _COLORS if limits.isDefined(f"{n}Maximum")
+        ]
         top = max(tops, default=255.0)
     elif values.max(initial=0) > 255:
         top = 65535.0
@@ -261,7 +263,9 @@ def _joined(scans: list[_Scan], crs: str | None) -> Cloud:
     for name in _OWN:
         values = shared([scan.columns.get(name) for scan in scans], f"Values of {name}")
         if values is not None:
-            whole = name in _INDICES and np.isfinite(values).all() and (np.abs(values) < 2**53).all()
+            whole = (
+                name in _INDICES and np.isfinite(values).all() and (np.abs(values) < 2**53).all()
+            )
             scalars[name] = values.astype(np.int64) if whole else values
     if len(scans) > 1:
         sizes = [len(scan.points) for scan in scans]

@@ -151,12 +151,11 @@ def _fields(cloud: Cloud, position: NDArray[np.float64] | None) -> _Fields:
 
 
 def _storable(values: NDArray[Any]) -> NDArray[Any]:
-    """Values in a type that pye57 hands on rightly: it takes 64-bit integers for 32-bit ones."""
+    """Values in a type that pye57 hands on rightly."""
     if values.dtype.kind == "f":
         return values.astype(np.float32) if values.dtype.itemsize < 4 else values
-    bounds = np.iinfo(np.int32)
-    fits = bounds.min <= values.min(initial=0) and values.max(initial=0) <= bounds.max
-    return values.astype(np.int32 if fits else np.float64)
+    # By the letter of its type: pye57 takes "l" for 32 bits, though it has 64 on Linux.
+    return values.astype(np.dtype("q"))
 
 
 def _kind(libe57: Any, image: Any, name: str, values: NDArray[Any]) -> Any:

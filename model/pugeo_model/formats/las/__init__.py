@@ -15,7 +15,7 @@ MEDIA_TYPES: tuple[str, ...] = ("application/vnd.las",)
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a LAS or LAZ file."""
+    """True if a file with these first bytes is a LAS or LAZ file."""
     return head.startswith(b"LASF")
 
 

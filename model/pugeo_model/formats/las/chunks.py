@@ -49,9 +49,7 @@ def check_chunks(file: IO[bytes], header: tuple[int, int, int], size: int, point
         _walk(file, items, start + 8, place, chunks)
 
 
-def _items(
-    file: IO[bytes], header: tuple[int, int, int]
-) -> tuple[int, int, list[tuple[int, int]]]:
+def _items(file: IO[bytes], header: tuple[int, int, int]) -> tuple[int, int, list[tuple[int, int]]]:
     """Compressor, points of a chunk, and type and size of each item of a point."""
     at, records, start = header
     for _ in range(records):
@@ -100,9 +98,7 @@ def _table_place(file: IO[bytes], start: int, size: int) -> int:
     return place
 
 
-def _walk(
-    file: IO[bytes], items: list[tuple[int, int]], at: int, end: int, chunks: int
-) -> None:
+def _walk(file: IO[bytes], items: list[tuple[int, int]], at: int, end: int, chunks: int) -> None:
     """Go from chunk to chunk by the sizes of their layers."""
     layers = sum(size if kind == _EXTRA_BYTES else _LAYERS[kind] for kind, size in items)
     raw = sum(size for _, size in items)

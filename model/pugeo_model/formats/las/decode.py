@@ -25,8 +25,8 @@ _SPOOL_BYTES = 1 << 24
 _CHANNELS = ("red", "green", "blue")
 _NORMALS = ("normalx", "normaly", "normalz")
 _WAVES = frozenset(
-    "wavepacket_index wavepacket_offset wavepacket_size return_point_wave_location x_t y_t "
-    "z_t".split()
+    ["wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_point_wave_location"]
+    + ["x_t", "y_t", "z_t"]
 )
 _OWN_RECORDS = frozenset([("LASF_Spec", 4), ("laszip encoded", 22204), ("copc", 1)])
 """Records that describe the file's own rows, so that the writer makes new ones."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A cloud as LAS or LAZ, by laspy."""
 
-import datetime
+import datetime as dt
 import math
 import tempfile
 import uuid
@@ -118,7 +118,7 @@ def _header(
         header.uuid = uuid.UUID(bytes=info.uuid)
         header.system_identifier = info.system_identifier
         if info.created is not None:
-            header.creation_date = datetime.date.fromordinal(info.created)
+            header.creation_date = dt.date.fromordinal(info.created)
         for user, record, description, data in info.vlrs:
             header.vlrs.append(laspy.VLR(user, record, description, data))
     elif crs is not None:
@@ -209,7 +209,7 @@ def _field_of(name: str, fields: dict[str, Any]) -> str | None:
 
 
 def _holds(field: Any, values: NDArray[Any]) -> bool:
-    """Whether a standard field can hold all values exactly."""
+    """True if a standard field can hold all values exactly."""
     if field.dtype is not None and field.dtype.kind == "f":
         return values.dtype.kind in "fiub"
     if values.dtype.kind == "f" and not (

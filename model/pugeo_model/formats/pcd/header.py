@@ -60,7 +60,7 @@ class Header:
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a PCD file."""
+    """True if a file with these first bytes is a PCD file."""
     return re.match(rb"(?:[ \t]*#[^\n]*\n|\s)*(VERSION[ \t]+\.?\d|FIELDS[ \t])", head) is not None
 
 
@@ -109,7 +109,9 @@ def _parse(entries: dict[str, list[str]], lines: int) -> Header:
     for name, size, kind, count in zip(names, sizes, kinds, counts, strict=True):
         code = _KINDS.get(kind)
         if code is None or size not in _WIDTHS[code]:
-            raise _bad(lines, f"field {name[:40]!r} has the unknown type {kind[:8]} of {size} bytes")
+            raise _bad(
+                lines, f"field {name[:40]!r} has the unknown type {kind[:8]} of {size} bytes"
+            )
         fields.append(Field(name, f"{code}{size}", count))
     if sum(counts) > _MOST_VALUES:
         raise _bad(lines, f"a point has {sum(counts):,} values, at most {_MOST_VALUES:,} are read")
@@ -124,9 +126,7 @@ def _parse(entries: dict[str, list[str]], lines: int) -> Header:
     encoding = " ".join(entries["DATA"])
     if encoding not in _ENCODINGS:
         raise _bad(lines, f"DATA must be one of {', '.join(_ENCODINGS)}, not {encoding[:40]!r}")
-    return Header(
-        tuple(fields), points, height > 1, _viewpoint(entries, lines), encoding, lines
-    )
+    return Header(tuple(fields), points, height > 1, _viewpoint(entries, lines), encoding, lines)
 
 
 def _whole(
@@ -135,7 +135,11 @@ def _whole(
     words = entries.get(key)
     if words is None and default is not None:
         return [default] * width
-    if words is None or len(words) != width or not all(re.fullmatch("[0-9]{1,18}", w) for w in words):
+    if (
+        words is None
+        or len(words) != width
+        or not all(re.fullmatch("[0-9]{1,18}", w) for w in words)
+    ):
         raise MalformedFileError(
             f"PCD header: {key} must be {width} whole numbers.", code="bad_header"
         )

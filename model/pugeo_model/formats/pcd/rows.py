@@ -59,8 +59,7 @@ def _binary(file: IO[bytes], header: Header) -> Columns:
         {
             "names": [field.name for field in _wanted(header)],
             "formats": [
-                (f"<{f.type}", (f.count,)) if f.count > 1 else f"<{f.type}"
-                for f in _wanted(header)
+                (f"<{f.type}", (f.count,)) if f.count > 1 else f"<{f.type}" for f in _wanted(header)
             ],
             "offsets": [_offset(header, field) for field in _wanted(header)],
             "itemsize": stride,

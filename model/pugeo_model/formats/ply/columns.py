@@ -111,14 +111,15 @@ class VertexColumns:
                             self.notes.append(note)
                         return colors
             return None
-        colors, note = to_channels(self._colors)
-        if note is not None:
-            self.notes.append(note)
+        channels, guessed = to_channels(self._colors)
+        if guessed is not None:
+            self.notes.append(guessed)
         if self._alpha is None:
-            return colors
+            return channels
         alpha, _ = to_channels(self._alpha)
-        if alpha.dtype != colors.dtype:
-            # 65535 / 255 = 257: the same share of the range in 16 bits.
-            wide = [np.uint16(257) * each if each.dtype == np.uint8 else each for each in (colors, alpha)]
-            colors, alpha = wide
-        return np.column_stack([colors, alpha])
+        if alpha.dtype == channels.dtype:
+            return np.column_stack([channels, alpha])
+        # 65535 / 255 = 257: the same share of the range in 16 bits.
+        parts: list[NDArray[Any]] = [channels, alpha]
+        wide = [p * np.uint16(257) if p.dtype == np.uint8 else p for p in parts]
+        return np.column_stack(wide)
