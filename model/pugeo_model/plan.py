@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.attributes import mark_labels
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
 from pugeo_model.normalise import Normalisation, normalise
 from pugeo_model.options import LARGEST_RATIO, Options, refuse
+from pugeo_model.orient.given import signs_agree
 from pugeo_model.orient.methods import resolve_method
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
+from pugeo_model.units import coordinate_warnings
 
 __all__ = ["Plan", "make_plan"]
 
@@ -111,7 +114,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` needs
             normals that the cloud does not have.
     """
-    cleaned, dropped = clean(cloud)
+    cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
@@ -127,8 +130,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
     if noise is not None and noise > TUNING.noise_threshold and not options.keeps_points(count):
         # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
-    has_normals = cleaned.normals is not None
-    method = resolve_method(options.orient, options.viewpoint, has_normals=has_normals)
+    cleaned, method = _choose_signs(cleaned, options)
     report = {
         "points_in": len(cloud),
         "points_used": count,
@@ -138,7 +140,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         "tiles": len(specs),
         "ratio": n_out / count,
         "orient": method,
-        "notes": list(cleaned.notes),
+        "notes": [*cleaned.notes, *coordinate_warnings(cleaned.points)],
     }
     return Plan(
         cloud=cleaned,
@@ -153,3 +155,20 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         n_out=n_out,
         report=report,
     )
+
+
+def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:
+    """Choose the method that gives normals their signs, with a note where the input misleads.
+
+    ``auto`` means the input's normals if their signs agree, else a viewpoint if there is one.
+    """
+    given = cloud.normals is not None
+    viewpoint = cloud.viewpoints if options.viewpoint is None else options.viewpoint
+    method = resolve_method(options.orient, viewpoint, has_normals=given)
+    if method != "input" or signs_agree(cloud):
+        return cloud, method
+    note = "The input's normals have random signs: neighbours often point to opposite sides."
+    if options.orient == "auto":
+        method = resolve_method("auto", viewpoint, has_normals=False)
+        note += f" The signs come from {method!r} instead."
+    return replace(cloud, notes=(*cloud.notes, note)), method

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-from pugeo_model.formats import FORMATS
+from pugeo_model.formats import WRITABLE
 from pugeo_service.problems import ProblemError
 
 __all__ = ["DEFAULT", "OFFERS", "Offer", "choose"]
@@ -30,18 +30,18 @@ class Offer:
 
 
 def _offer(name: str) -> Offer:
-    module = FORMATS[name]
+    module = WRITABLE[name]
     further: tuple[str, ...] = ()
     if name == "ply-ascii":
         # Whoever knows PLY by its own types asks for the text form with a parameter.
-        further = tuple(f"{kind};format=ascii" for kind in FORMATS["ply"].MEDIA_TYPES)
+        further = tuple(f"{kind};format=ascii" for kind in WRITABLE["ply"].MEDIA_TYPES)
     extension = (*module.EXTENSIONS, ".ply")[0].removeprefix(".")
     return Offer(name, (*module.MEDIA_TYPES, *further), extension)
 
 
 # Binary PLY first: it is what wildcards mean.
 OFFERS: dict[str, Offer] = {
-    name: _offer(name) for name in sorted(FORMATS, key=lambda name: name != "ply")
+    name: _offer(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
 }
 DEFAULT = OFFERS["ply"]
 # Ranges with a wildcard and the type of unnamed bytes mean "whatever you like best".
