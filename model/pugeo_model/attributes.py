@@ -55,10 +55,8 @@ def mark_labels(cloud: Cloud) -> Cloud:
     notes = cloud.notes
     if whole:
         listed = ", ".join(whole)
-        notes += (
-            "Scalars with whole values only are taken from the nearest point, not averaged: "
-            f"{listed}.",
-        )
+        note = "Scalars with whole values only are taken from the nearest point, not averaged: "
+        notes += (f"{note}{listed}.",)
     return replace(cloud, labels=frozenset([*named, *whole]), notes=notes)
 
 

@@ -116,5 +116,5 @@ def unpack_rgb(values: NDArray[Any]) -> NDArray[np.uint8] | None:
 def pack_rgb(colors: NDArray[Any]) -> NDArray[np.float32]:
     """Pack ``(M, 3|4)`` colours into the float32 that PCL writes as the field ``rgb``."""
     channels = to_uint8(colors)[0].astype(np.uint32)
-    packed: NDArray[np.uint32] = channels[:, 0] << 16 | channels[:, 1] << 8 | channels[:, 2]
-    return packed.view(np.float32)
+    packed = channels[:, 0] << 16 | channels[:, 1] << 8 | channels[:, 2]
+    return packed.astype(np.uint32).view(np.float32)
