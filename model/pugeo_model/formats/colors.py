@@ -93,6 +93,7 @@ def unpack_rgb(values: NDArray[Any]) -> NDArray[np.uint8] | None:
     Returns:
         ``(M, 3)`` uint8, or ``None`` where the numbers cannot be packed colours.
     """
+    bits: NDArray[Any]
     if values.dtype.kind == "f":
         known = values[np.isfinite(values)]
         # As bits, 0x00RRGGBB is a denormal float; with an opaque alpha it is NaN or very negative.
@@ -109,7 +110,7 @@ def unpack_rgb(values: NDArray[Any]) -> NDArray[np.uint8] | None:
         # PCL's signed variant of the field wraps for an alpha of 128 and more.
         if (wide < -(2**31)).any() or (wide >= 2**32).any():
             return None
-        bits = (wide & 0xFFFFFFFF).astype(np.uint32)
+        bits = (wide & 0xFFFFFFFF).astype(np.uint32, copy=False)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
 
 

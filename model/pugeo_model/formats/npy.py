@@ -37,4 +37,9 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 def drops(cloud: Cloud) -> list[str]:
     """Name the attributes that the format has no room for."""
-    return list(cloud.scalars)
+    found = list(cloud.scalars)
+    if cloud.colors is not None and cloud.colors.shape[1] == 4:
+        found.append("alpha")
+    if cloud.colors is not None and cloud.colors.dtype == np.uint16:
+        found.append("the lower 8 of 16 bits of colours")
+    return found

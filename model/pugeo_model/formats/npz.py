@@ -46,9 +46,9 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     """Read an archive with ``points``, ``normals``, ``colors`` and scalars, or one array.
 
     Every other ``(M,)`` numeric array of an archive is a scalar. A single array is ``(M, K)``:
-    points, and further columns whose meaning is guessed, see `meaning.guess`. The size that each
-    array declares is checked before it is unpacked, so that a small archive cannot unpack to a
-    large one.
+    points, and further columns whose meaning is guessed, see `meaning.guess`. The declared size of
+    each array is checked before it is unpacked, so that a small archive cannot unpack to a large
+    one.
 
     Args:
         file: seekable, at the first byte.

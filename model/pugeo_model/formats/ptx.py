@@ -108,6 +108,8 @@ def drops(cloud: Cloud) -> list[str]:
         found.insert(0, "normals")
     if cloud.colors is not None and cloud.colors.shape[1] == 4:
         found.append("alpha")
+    if cloud.colors is not None and cloud.colors.dtype == np.uint16:
+        found.append("the lower 8 of 16 bits of colours")
     return found
 
 

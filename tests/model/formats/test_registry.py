@@ -8,6 +8,7 @@ import stat
 import tempfile
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -203,12 +204,17 @@ def test_output_format() -> None:
 @pytest.mark.parametrize("name", sorted(WRITABLE))
 def test_nothing_is_dropped_silently(name: str, rich: Cloud, dump: Dump) -> None:
     """Every attribute comes back, or the note on dropped attributes names it."""
+    assert rich.normals is not None
+    assert rich.colors is not None
+    lengths = np.linalg.norm(rich.normals, axis=1, keepdims=True)
+    rich = replace(rich, normals=(rich.normals / lengths).astype(np.float32))
     back = read(io.BytesIO(dump(rich, name)))
     note = dropped(rich, name) or ""
     assert back.source is not None
     assert back.source.format == name
     assert (back.normals is not None) == ("normals" not in note)
     assert back.colors is not None
+    assert (back.colors.shape[1] == 4) == ("alpha" not in note)
     for scalar in rich.scalars:
         plain = scalar.lower().removeprefix("scalar_")
         known = {"class": "classification", "time": "gps_time"}

@@ -3,7 +3,7 @@
 
 import pytest
 
-from pugeo_model.formats import FORMATS
+from pugeo_model.formats import WRITABLE
 from pugeo_service.http.negotiation import DEFAULT, OFFERS, choose
 from pugeo_service.problems import ProblemError
 
@@ -35,11 +35,11 @@ def test_accept(accept: str | None, expected: str) -> None:
     assert choose(accept, None).name == expected
 
 
-@pytest.mark.parametrize("name", list(FORMATS))
+@pytest.mark.parametrize("name", list(WRITABLE))
 def test_every_format_of_the_model_is_offered(name: str) -> None:
     """A format added to the model is offered by name and by its own media type."""
     assert choose(None, name).name == name
-    assert choose(FORMATS[name].MEDIA_TYPES[0], None).name == name
+    assert choose(WRITABLE[name].MEDIA_TYPES[0], None).name == name
 
 
 def test_the_query_wins() -> None:

@@ -59,6 +59,8 @@ def drops(cloud: Cloud) -> list[str]:
     found = []
     if cloud.colors is not None and cloud.colors.dtype == np.uint16:
         found.append("the lower 8 of 16 bits of colours")
+    if cloud.colors is not None and cloud.colors.shape[1] == 4:
+        found.append("alpha")
     if cloud.viewpoints is not None and len(cloud.viewpoints) > 1:
         found.append("all viewpoints but one")
     return found
