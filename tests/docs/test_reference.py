@@ -197,3 +197,23 @@ def test_states_of_a_job() -> None:
     """The page of REST names every state of a job."""
     row = next(row for row in rows(page("rest.md")) if "`state`:" in row[1])
     assert set(get_args(State)) <= set(_CODE.findall(row[1]))
+
+
+def test_files_of_the_architecture() -> None:
+    """Each module and folder that ARCHITECTURE.md names is there."""
+    text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    folders = ("client", "model", "service", "benchmarks", "tests")
+    there = [f"/{path.relative_to(ROOT).as_posix()}"
+             for folder in folders for path in (ROOT / folder).rglob("*")]  # fmt: skip
+    modules = set(re.findall(r"[\w/]+\.py\b", text))
+    named = sorted(modules | set(re.findall(r"^  (\w+)/ ", text, re.MULTILINE)))
+    assert len(named) > 30
+    assert [name for name in named if not any(t.endswith(f"/{name}") for t in there)] == []
+
+
+def test_names_of_the_architecture(identifiers: set[str]) -> None:
+    """Each name in code style in ARCHITECTURE.md that looks like one is in the code."""
+    text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    named = {name for code in _CODE.findall(text) for name in re.findall(r"^[A-Za-z_]\w+$", code)}
+    shown = {"MEDIA_TYPES", "worker_lost", "fast", "numpy"}
+    assert sorted(named - identifiers - shown) == []
