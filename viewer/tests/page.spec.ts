@@ -74,17 +74,23 @@ test("each format is downloaded, and the PLY is read again", async ({ watched: p
   const formats = await page.locator("#format option").evaluateAll((all) =>
     all.map((each) => (each as HTMLOptionElement).value));
   expect(formats).toEqual(expect.arrayContaining(["ply", "ply-ascii", "npz", "npy", "json", "xyz"]));
-  const count = Number((await page.locator("#label-after").innerText()).replace(/\D/g, ""));
+  const label = (await page.locator("#label-after").innerText()).replace(/^\D+/, "");
+  const saved: [string, Buffer][] = [];
   for (const format of formats) {
     await page.selectOption("#format", format);
-    const saved = page.waitForEvent("download");
+    const download = page.waitForEvent("download");
     await page.click("#download");
-    const path = await (await saved).path();
-    await choose(page, `again.${format}`, readFileSync(path));
-    await expect(page.locator("#label-before")).toContainText(`${count.toLocaleString("en")} points`);
-    await page.goBack();
-    await page.locator("#jobs a").nth(0).click();
-    await expect(page.locator("#figures")).not.toContainText("–");
+    const file = await download;
+    expect(file.suggestedFilename()).toContain("block-dense.");
+    saved.push([file.suggestedFilename(), readFileSync(await file.path())]);
+    await expect(page.locator("#download")).toBeEnabled();
+  }
+  // Read again by the page's own readers, whichever of them the format takes.
+  for (const [name, bytes] of saved) {
+    await choose(page, name, bytes);
+    await expect(page.locator("#file-name")).toHaveText(name);
+    await expect(page.locator("#label-before")).toContainText(label);
+    await expect(page.locator("#problem")).toBeHidden();
   }
 });
 
@@ -114,12 +120,12 @@ test("a reload finds the job again, with its input", async ({ watched: page }) =
 });
 
 test("a running job is followed again after a reload", async ({ watched: page }) => {
-  await choose(page, "long.xyz", sphere(40_000));
+  await choose(page, "long.xyz", sphere(12_000));
   await page.click("#run");
   await expect(page.locator("#stage-name")).toHaveText("Finding the surface");
   await page.reload();
   await expect(page.locator("#progress")).toBeVisible();
-  await expect(page.locator("#label-after")).toContainText("320,000 points");
+  await expect(page.locator("#label-after")).toContainText("96,000 points");
 });
 
 const BROKEN = "ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n" +

@@ -130,7 +130,8 @@ export async function run(page: Page): Promise<void> {
 
 export const test = base.extend<{ watched: Page }, { service: Running }>({
   service: [
-    async ({ browserName: _ }, use) => {
+    // eslint-disable-next-line no-empty-pattern -- Playwright asks for this form
+    async ({}, use) => {
       const running = await startService(["--max-points", "100000"]);
       await use(running);
       await running.stop();

@@ -8,7 +8,8 @@ import { readText } from "./text";
 export async function readCloud(bytes: Uint8Array): Promise<Cloud> {
   const head = new TextDecoder("latin1").decode(bytes.subarray(0, 64));
   if (head.startsWith("ply")) return fromColumns(readPly(bytes));
-  if (head.startsWith("\x93NUMPY")) return fromColumns(readNpy(bytes));
+  // Its first byte, 0x93, is no character of Latin-1.
+  if (head.startsWith("NUMPY", 1)) return fromColumns(readNpy(bytes));
   if (head.startsWith("PK")) return fromColumns(await readNpz(bytes));
   if (/^(\xef\xbb\xbf)?\s*[{[]/.test(head)) return fromColumns(readJson(bytes));
   // A byte that no text has: LAS, LAZ, E57 and the like.

@@ -252,5 +252,7 @@ function press(id: string, onChange: (on: boolean) => void): void {
 }
 
 function isTyping(event: KeyboardEvent): boolean {
-  return event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+  const { target } = event;
+  const text = target instanceof HTMLInputElement && ["text", "password"].includes(target.type);
+  return text || target instanceof HTMLSelectElement;
 }
