@@ -24,8 +24,6 @@ export interface Description {
   readonly options: ReadonlyMap<string, Option>;
   /** Formats that can be asked for as `format=`. */
   readonly formats: readonly string[];
-  /** Routes that only some services have. */
-  readonly paths: ReadonlySet<string>;
 }
 
 interface Parameter {
@@ -55,7 +53,6 @@ export async function describe(api: Api): Promise<Description> {
   return {
     options,
     formats: format === undefined ? ["ply"] : formats(format, Object.keys(media)),
-    paths: new Set(Object.keys(document.paths)),
   };
 }
 

@@ -43,7 +43,6 @@ export interface Calls {
   scalar: { args: { slot: Slot; name: string }; result: Values };
   distance: { args: null; result: Values };
   count: { args: { file: Blob }; result: number | null };
-  sample: { args: { slot: Slot; most: number }; result: Blob };
 }
 
 export type Request = {

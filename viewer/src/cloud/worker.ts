@@ -4,7 +4,6 @@ import { type Cloud, UnreadableCloudError } from "./cloud";
 import { type Drawable, MOST_DRAWN, type Request, type Slot, type Values } from "./messages";
 import { expectedSpacing, Grid, medianSpacing } from "./neighbours";
 import { countOf, readCloud } from "./read";
-import { writePly } from "./write";
 
 interface Loaded {
   readonly cloud: Cloud;
@@ -136,7 +135,8 @@ async function answer(request: Request): Promise<unknown> {
     case "load":
       return load(request.args.slot, request.args.file);
     case "forget":
-      return loaded.delete(request.args.slot) ? null : null;
+      loaded.delete(request.args.slot);
+      return null;
     case "spacing":
       return spacing(request.args.slot);
     case "scalar":
@@ -145,10 +145,6 @@ async function answer(request: Request): Promise<unknown> {
       return distance();
     case "count":
       return countOf(new Uint8Array(await request.args.file.slice(0, 4096).arrayBuffer()));
-    case "sample": {
-      const { cloud, order } = find(request.args.slot);
-      return writePly(cloud, order.subarray(0, request.args.most));
-    }
   }
 }
 

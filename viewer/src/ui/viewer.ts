@@ -64,10 +64,6 @@ export class Viewer {
     (globalThis as Record<string, unknown>).pugeoStage = this.stage;
   }
 
-  get drawing(): boolean {
-    return this.stage !== null;
-  }
-
   /** Show a cloud in a pane, or nothing. */
   set(slot: Slot, cloud: Drawable | null): void {
     this.clouds[slot] = cloud;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
   BufferAttribute, BufferGeometry, Color, DataTexture, GLSL3, InstancedBufferAttribute,
-  InstancedBufferGeometry, LineSegments, Mesh, Points, RawShaderMaterial, Scene, Vector2, Vector3,
+  InstancedBufferGeometry, LineSegments, Points, RawShaderMaterial, Scene, Vector2, Vector3,
 } from "three"; // prettier-ignore
 import type { Drawable, Values } from "../cloud/messages";
 import {
@@ -11,7 +11,7 @@ import {
 const MOST_HAIRS = 8_000;
 const HAIR_SPACINGS = 2.5;
 
-/** One of the two views: a cloud, its normals as hairs, and the surface made of it. */
+/** One of the two views: a cloud, and its normals as hairs. */
 export class Pane {
   readonly scene = new Scene();
   cloud: Drawable | null = null;
@@ -22,7 +22,6 @@ export class Pane {
   private points: Points<BufferGeometry, RawShaderMaterial> | null = null;
   private hairs: LineSegments<InstancedBufferGeometry, RawShaderMaterial> | null = null;
   private hairsShown = false;
-  private surface: Mesh | null = null;
   private readonly uniforms = {
     uColor: { value: 0 as number },
     uHasNormals: { value: false },
@@ -122,14 +121,6 @@ export class Pane {
     this.hairUniforms.uLength.value = HAIR_SPACINGS * this.spacing;
   }
 
-  /** Show a surface in the place of the points; the points again where it is `null`. */
-  showSurface(surface: Mesh | null): void {
-    if (this.surface !== null) this.scene.remove(this.surface);
-    this.surface = surface;
-    if (surface !== null) this.scene.add(surface);
-    if (this.points !== null) this.points.visible = surface === null;
-  }
-
   private makeHairs(cloud: Drawable): LineSegments<InstancedBufferGeometry, RawShaderMaterial> {
     const count = Math.min(cloud.drawn, MOST_HAIRS);
     const geometry = new InstancedBufferGeometry();
@@ -146,7 +137,6 @@ export class Pane {
   }
 
   private clear(): void {
-    this.showSurface(null);
     for (const drawn of [this.points, this.hairs]) {
       if (drawn === null) continue;
       this.scene.remove(drawn);
