@@ -16,8 +16,8 @@ __all__ = ["CORS", "RequireKey", "harden", "is_open"]
 # Open without a key: probes, since whoever restarts a service has no business with its clients'
 # keys, and the description of the API, which this project publishes anyhow and which tells how
 # to use a key. Everything else asks for one, also what does not exist.
-_OPEN = frozenset({"/health", "/health/live", "/health/ready", "/docs", "/openapi.json"})
-_OPEN_FOLDERS = ("/docs/",)
+_OPEN = frozenset({"/", "/health", "/health/live", "/health/ready", "/docs", "/openapi.json"})
+_OPEN_FOLDERS = ("/assets/", "/docs/")
 
 _NO_PAGE = "default-src 'none'; frame-ancestors 'none'"
 
