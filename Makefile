@@ -27,6 +27,12 @@ demo: $(VENV)/.installed-demo ## start the service, upsample an example, draw ou
 test: $(VENV)/.installed-dev ## run the tests (ARGS="-m 'not slow and not long'": the quick ones)
 	@$(BIN)/python -m pytest -m 'not long' $(ARGS)
 
+coverage: $(VENV)/.installed-dev ## run the tests and report branch coverage, that of subprocesses included
+	@rm -rf .cache/coverage; mkdir -p .cache/coverage
+	@$(BIN)/python -m coverage run -m pytest -m 'not long' $(ARGS)
+	@$(BIN)/python -m coverage combine --quiet
+	@$(BIN)/python -m coverage report
+
 test-long: $(VENV)/.installed-dev ## run the tests that take minutes
 	@$(BIN)/python -m pytest -m long $(ARGS)
 
@@ -72,7 +78,7 @@ digests: $(VENV)/.installed-dev ## record this platform's checksums of answers i
 	@$(BIN)/python -m benchmarks.digests --record
 
 openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
-	@$(BIN)/python -m pugeo_service.http.openapi > docs/openapi.new
+	@$(BIN)/python -m pugeo_service.app > docs/openapi.new
 	@mv docs/openapi.new docs/openapi.json
 
 reliability-load: $(VENV)/.installed-dev ## 64 clients for 5 minutes (ARGS="--seconds 30 --cores 0,1")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m pugeo_service``: the service without the command line of the model."""
+"""``python -m pugeo_service``: the command ``pugeo serve`` alone."""
 
 # Worker processes import this module again under another name, so it must stay light.
 if __name__ == "__main__":

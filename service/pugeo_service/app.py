@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The application: settings in, ASGI out."""
+"""The ASGI application.
+
+``python -m pugeo_service.app`` prints its OpenAPI document.
+"""
 
 import asyncio
+import json
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -17,9 +22,10 @@ from pugeo_service.admission.admission import Admission
 from pugeo_service.container import Service
 from pugeo_service.engine import Engine
 from pugeo_service.http import openapi
-from pugeo_service.http.auth import CORS, RequireKey
+from pugeo_service.http.auth import RequireKey
 from pugeo_service.http.middleware import RequestContext
-from pugeo_service.jobs import Jobs
+from pugeo_service.http.security_headers import CORS
+from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Readings, Telemetry
@@ -30,14 +36,14 @@ from pugeo_service.settings import Settings
 __all__ = ["create_app", "create_service"]
 
 _log = structlog.stdlib.get_logger("pugeo.service")
-_TIDY_S = 10.0
+_RELEASE_MEMORY_S = 10.0
 
 
 def create_service(settings: Settings) -> Service:
-    """Put together what the routes share; starts nothing.
+    """Build all parts of the service without starting any.
 
     Raises:
-        BadOptionError: there are no weights of that name.
+        BadOptionError: there are no weights of the given name.
     """
     card = weights.read_card(settings.model)
     engine = Engine(settings)
@@ -48,7 +54,7 @@ def create_service(settings: Settings) -> Service:
         return Readings(
             queue_patches=admission.patches + jobs.admission.patches,
             queue_capacity=admission.max_patches,
-            queue_bytes=admission.bytes + jobs.arriving.bytes,
+            queue_bytes=admission.bytes + jobs.uploads.bytes,
             workers_warm=status.workers,
             workers_missing=max(0, (status.expected or 0) - status.workers),
             workers_lost=status.lost,
@@ -61,7 +67,7 @@ def create_service(settings: Settings) -> Service:
     model = {key: str(card[key]) for key in ("name", "version", "sha256")}
     telemetry = Telemetry(read, __version__, model)
     weights_used = {key: model[key] for key in ("version", "sha256")}
-    jobs = Jobs(settings, engine, telemetry, weights_used)
+    jobs = JobManager(settings, engine, telemetry, weights_used)
     return Service(
         settings=settings,
         engine=engine,
@@ -79,23 +85,23 @@ def create_app(
     """Make the application.
 
     Args:
-        settings: from the environment by default.
-        on_fatal: is called when the engine cannot start, since nothing would ever be served.
+        settings: settings; from the environment by default.
+        on_fatal: called if the engine cannot start, because no request could be served.
     """
     service = create_service(settings or Settings())
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        # In the background: a probe must be answered while the model is still loading.
+        # In the background, so that probes are answered while the model is loading.
         starting = asyncio.create_task(_start(service, on_fatal))
-        tidying = asyncio.create_task(_tidy())
+        releasing = asyncio.create_task(_release_memory())
         await service.jobs.start()
         yield
         service.drain()
-        for task in (starting, tidying):
+        for task in (starting, releasing):
             task.cancel()
-        await asyncio.gather(starting, tidying, return_exceptions=True)
-        # Before the workers: jobs that run are put back, and their tasks go first.
+        await asyncio.gather(starting, releasing, return_exceptions=True)
+        # Before the workers: running jobs are queued again and their tasks cancelled.
         await service.jobs.stop()
         await service.engine.stop()
 
@@ -104,7 +110,7 @@ def create_app(
         version=__version__,
         summary="Point cloud upsampling: more points, on the surface, each with a normal.",
         lifespan=lifespan,
-        # The stock pages load their scripts from somebody else's server.
+        # FastAPI's own pages load their scripts from the internet.
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
@@ -112,7 +118,7 @@ def create_app(
     )
     app.state.service = service
     problems.install(app)
-    # The last one added is the outermost. A preflight carries no key, so CORS stands before keys.
+    # The last one added is the outermost. CORS is outside of keys: a preflight has no key.
     if service.keys.required:
         app.add_middleware(RequireKey, keys=service.keys, telemetry=service.telemetry)
     if service.settings.cors_origins:
@@ -129,15 +135,25 @@ def create_app(
 async def _start(service: Service, on_fatal: Callable[[], Any]) -> None:
     try:
         await service.engine.start()
-    except Exception:  # noqa: BLE001 - whatever it is, the log has it and the process ends
+    except Exception:  # noqa: BLE001 - logged, and the process ends
         _log.exception("the engine cannot start")
         on_fatal()
         return
     _log.info("ready", workers=service.engine.status.workers, model=service.card["name"])
 
 
-async def _tidy() -> None:
-    """Give back what bodies and answers left behind, for as long as the service runs."""
+async def _release_memory() -> None:
+    """Return freed memory of bodies and answers to the system, every 10 s."""
     while True:
-        await asyncio.sleep(_TIDY_S)
+        await asyncio.sleep(_RELEASE_MEMORY_S)
         await asyncio.to_thread(give_back_freed_memory)
+
+
+def _print_openapi() -> None:
+    # Independent of this environment: the document is the same for all services.
+    app = create_app(Settings(metrics_port=None, api_keys=None, api_keys_file=None))
+    sys.stdout.write(json.dumps(app.openapi(), indent=2, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    _print_openapi()

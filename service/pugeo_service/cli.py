@@ -15,37 +15,33 @@ def serve(
     host: Annotated[str | None, Option(help="Address to listen on [127.0.0.1].")] = None,
     port: Annotated[int | None, Option(help="Port; 0 takes a free one [8000].")] = None,
     workers: Annotated[
-        int | None, Option(help="Worker processes; 0: one a processor, two at least [0].")
+        int | None, Option(help="Worker processes; 0: one per processor, at least two [0].")
     ] = None,
     engine: Annotated[
-        str | None, Option(help="dask, or inline: threads in this process, to debug [dask].")
+        str | None, Option(help="dask, or inline: threads in this process, for debugging [dask].")
     ] = None,
     scheduler: Annotated[
-        str | None, Option(help="tls://host:port of a Dask cluster that runs elsewhere.")
+        str | None, Option(help="tls://host:port of an external Dask cluster.")
     ] = None,
     model: Annotated[str | None, Option(help="Name or path of the weights [standard].")] = None,
-    max_body_bytes: Annotated[int | None, Option(help="Limit of a body, in bytes.")] = None,
-    max_points: Annotated[int | None, Option(help="Limit of an input, in points.")] = None,
-    max_output_points: Annotated[int | None, Option(help="Limit of an answer, in points.")] = None,
-    queue_patches: Annotated[int | None, Option(help="Capacity of the queue, in patches.")] = None,
-    queue_requests: Annotated[
-        int | None, Option(help="Capacity of the queue, in requests.")
-    ] = None,
-    deadline_s: Annotated[float | None, Option(help="Seconds a request may take [600].")] = None,
+    max_body_bytes: Annotated[int | None, Option(help="Maximum bytes of a body.")] = None,
+    max_points: Annotated[int | None, Option(help="Maximum points of an input.")] = None,
+    max_output_points: Annotated[int | None, Option(help="Maximum points of an answer.")] = None,
+    queue_patches: Annotated[int | None, Option(help="Capacity of the queue in patches.")] = None,
+    queue_requests: Annotated[int | None, Option(help="Capacity of the queue in requests.")] = None,
+    deadline_s: Annotated[float | None, Option(help="Maximum seconds of a request [600].")] = None,
     drain_s: Annotated[
-        int | None, Option(help="Seconds to finish accepted work on SIGTERM [60].")
+        int | None, Option(help="Seconds after SIGTERM to finish accepted requests [60].")
     ] = None,
     spool_dir: Annotated[
-        Path | None, Option(help="Folder of bodies and results on their way.")
+        Path | None, Option(help="Folder for temporary files of bodies and answers.")
     ] = None,
-    metrics_port: Annotated[
-        int | None, Option(help="Serve metrics there, and not on the main port.")
-    ] = None,
+    metrics_port: Annotated[int | None, Option(help="Separate port for metrics.")] = None,
     api_keys_file: Annotated[
-        Path | None, Option(help="File of API keys (`pugeo keys new` makes one) [no keys].")
+        Path | None, Option(help="File of API keys, see `pugeo keys new` [no keys].")
     ] = None,
     cors_origins: Annotated[
-        str | None, Option(help="Origins whose pages may call the service, with commas.")
+        str | None, Option(help="Comma-separated origins whose pages may call the service.")
     ] = None,
     log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
     log_level: Annotated[str | None, Option(help="debug, info, warning or error [info].")] = None,
@@ -63,14 +59,14 @@ def serve(
 
 def keys(
     action: Annotated[Literal["new"], typer.Argument(help="new: make a key.")],
-    name: Annotated[str, typer.Argument(help="Whose key it is; logs and limits go by it.")],
+    name: Annotated[str, typer.Argument(help="Owner of the key, in logs and for fair shares.")],
 ) -> None:
-    """Make an API key: its entry goes to stdout, the key itself, this once, to stderr.
+    """Make an API key: its entry goes to stdout, the key itself to stderr.
 
     Append the entry to the file that PUGEO_API_KEYS_FILE names: pugeo keys new NAME >> FILE. The
-    service reads the file again by itself. Taking a line out of it takes the key back.
+    service reads the file again when it changes. Remove the line to revoke the key.
     """
-    del action  # there is but one
+    del action  # there is only one
     from pugeo_service.keys import Entry, hash_of, new_token, parse
 
     token = new_token()
@@ -80,5 +76,5 @@ def keys(
     except ValueError:
         detail = "1 to 64 letters, digits, dots, dashes and underscores"
         raise typer.BadParameter(detail, param_hint="NAME") from None
-    typer.echo(f"The key, shown this once: {token}", err=True)
+    typer.echo(f"The key, which is shown only once: {token}", err=True)
     typer.echo(str(entry))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the routes share."""
+"""Container of all parts that routes share."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, cast
@@ -8,7 +8,7 @@ from fastapi import Depends, Request
 
 from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
-from pugeo_service.jobs import Jobs
+from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.settings import Settings
@@ -21,31 +21,31 @@ class Service:
     """One running service.
 
     Attributes:
-        settings: as started.
-        engine: runs orders.
-        admission: the queue.
-        jobs: requests that outlive their connection.
-        keys: who may come in.
+        settings: settings of the process.
+        engine: runs requests.
+        admission: the queue of requests.
+        jobs: background jobs.
+        keys: API keys.
         telemetry: metrics.
-        card: the model's card.
+        card: model card.
     """
 
     settings: Settings
     engine: Engine
     admission: Admission
-    jobs: Jobs
+    jobs: JobManager
     keys: Keys
     telemetry: Telemetry
     card: dict[str, Any]
 
     def drain(self) -> None:
-        """Let nothing more in: what waits for an answer is finished, jobs are put back."""
+        """Refuse new requests; admitted ones are finished, running jobs are queued again."""
         self.admission.draining = True
         self.jobs.drain()
 
     @property
     def not_ready_because(self) -> Literal["draining", "no_worker", "queue_full"] | None:
-        """Why a request would not be served now, or ``None``."""
+        """Reason for which a request would be refused now, or ``None``."""
         if self.admission.draining:
             return "draining"
         if self.engine.status.workers == 0:

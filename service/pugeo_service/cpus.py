@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many processors this process may really use."""
+"""Number of processors that this process may use."""
 
 import math
 import os
@@ -11,7 +11,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 
 def cgroup_quota(root: Path = _CGROUP) -> float | None:
-    """Return the CPU quota of the control group in processors, or ``None`` where there is none.
+    """Return the CPU quota of the control group in processors, or ``None``.
 
     Args:
         root: mount point of the control groups; version 2 (``cpu.max``) and
@@ -33,7 +33,7 @@ def cgroup_quota(root: Path = _CGROUP) -> float | None:
 def available_cpus(root: Path = _CGROUP) -> int:
     """Return the number of processors (>= 1) allowed by both affinity and quota.
 
-    ``os.cpu_count`` reports the host, which inside a container starts far too many workers.
+    ``os.cpu_count`` counts the processors of the host, too many inside a container.
     """
     affinity = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     quota = cgroup_quota(root)

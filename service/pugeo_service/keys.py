@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""API keys: who may come in, and under which name.
+"""API keys and their owners.
 
-A key is 256 random bits, so that nobody finds one by guessing, and nobody finds one from its
-hash either. That is why plain SHA-256 is right here: slow hashes (argon2, bcrypt) protect words
-that people choose, and would only make each request slower. The service knows hashes alone; a
-copy of its file opens nothing.
+A key has 256 random bits, so it can be found neither by guessing nor from its hash. Plain SHA-256
+is therefore sufficient: slow hashes (argon2, bcrypt) protect passwords that people choose, and
+would only slow each request down. The service stores hashes only, so a leaked key file opens
+nothing.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ import structlog
 __all__ = ["Entry", "Keys", "hash_of", "new_token", "owner_of", "parse"]
 
 _log = structlog.stdlib.get_logger("pugeo.keys")
-# Names go into logs and into the account of the queue.
+# Names appear in logs and identify owners in the queue.
 _ENTRY = re.compile(r"(?P<name>[A-Za-z0-9._-]{1,64}):(?P<digest>[0-9a-f]{64})")
 _PREFIX = "pugeo_"
 
@@ -31,26 +31,26 @@ class _HasScope(Protocol):
 
 
 def owner_of(request: _HasScope) -> str:
-    """Return the name of the key that a request came with; ``""`` where no keys are asked for."""
+    """Return the name of the key of a request; ``""`` if the service has no keys."""
     return str(request.scope.get("state", {}).get("owner", ""))
 
 
 def new_token() -> str:
-    """Make a token: a prefix that scanners for leaked secrets can find, and 256 random bits."""
+    """Make a token: a prefix for scanners of leaked secrets, and 256 random bits."""
     return _PREFIX + secrets.token_urlsafe(32)
 
 
 def hash_of(token: str) -> str:
-    """Return what is kept of a token: SHA-256 in hexadecimal."""
+    """Return the SHA-256 of a token in hexadecimal."""
     return hashlib.sha256(token.encode("utf-8", "surrogateescape")).hexdigest()
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One key that opens the service.
+    """One valid key.
 
     Attributes:
-        name: its owner. Several keys may share a name: the old and the new one in a rotation.
+        name: its owner. Several keys may have one name, for example during a rotation.
         digest: SHA-256 of the token, hexadecimal.
     """
 
@@ -62,11 +62,11 @@ class Entry:
 
 
 def parse(lines: Iterable[str]) -> tuple[Entry, ...]:
-    """Read entries ``name:sha256``; empty lines and those that begin with ``#`` are skipped.
+    """Read entries ``name:sha256``; empty lines and comments (``#``) are skipped.
 
     Raises:
-        ValueError: an entry has another form; the message says which line, and not what it
-            holds, since that may be a token put there by mistake.
+        ValueError: an entry has another form. The message gives its number but not its text, which
+            may be a token entered by mistake.
     """
     entries = []
     for number, line in enumerate(lines, 1):
@@ -84,15 +84,14 @@ def parse(lines: Iterable[str]) -> tuple[Entry, ...]:
 
 
 class Keys:
-    """The keys that are valid now.
+    """All valid keys.
 
-    The file is read again when it changes, so that keys come and go without a restart. A file
-    that is missing or empty lets nobody in; one that cannot be understood changes nothing.
+    The file is read again when it changes, so keys are added and removed without a restart. A
+    missing or empty file contains no valid key; after a malformed one the previous keys stay valid.
 
     Args:
         file: file of entries, or ``None``.
-        fixed: entries of the settings, or ``None``. Where both are ``None``, no keys are asked
-            for.
+        fixed: entries of the settings, or ``None``. If both are ``None``, no key is required.
     """
 
     def __init__(self, file: Path | None, fixed: tuple[Entry, ...] | None) -> None:
@@ -104,12 +103,12 @@ class Keys:
         self._refresh()
 
     def owner(self, headers: Mapping[str, str]) -> str | None:
-        """Return the name of the key that a request's headers hold, or ``None``."""
+        """Return the owner of the key in the headers of a request, or ``None``."""
         self._refresh()
         token = _token(headers)
         given = hash_of(token)
         found = None
-        # All of them, always: the time taken must not tell which one matched.
+        # All are compared, so that the time does not reveal which one matched.
         for entry in (*self._fixed, *self._read):
             if hmac.compare_digest(entry.digest, given):
                 found = entry.name
@@ -126,18 +125,18 @@ class Keys:
             self._read = parse(self._file.read_text("utf-8").splitlines())
         except OSError as error:
             self._read = ()
-            _log.error("the keys file cannot be read: it lets nobody in", reason=error.strerror)
+            _log.error("key file cannot be read; all keys in it are refused", reason=error.strerror)
         except ValueError as error:
-            # UnicodeDecodeError is one of them, and quotes what it could not decode.
+            # UnicodeDecodeError is a ValueError, and its text quotes the file.
             reason = "it is not UTF-8" if isinstance(error, UnicodeError) else str(error)
-            _log.error("the keys file is broken: keys stay as they were", reason=reason)
+            _log.error("key file is malformed; the previous keys stay valid", reason=reason)
         else:
             log = _log.info if self._read else _log.error
-            log("keys read", keys=len(self._read))
+            log("key file read", keys=len(self._read))
 
 
 def _stamp(file: Path) -> object:
-    """Return what changes when a file does, also where it is replaced within one tick."""
+    """Return a value that changes with the file, even if it is replaced within one clock tick."""
     try:
         status = file.stat()
     except OSError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every error leaves as ``application/problem+json`` (RFC 9457)."""
+"""Errors as problem documents, ``application/problem+json`` (RFC 9457)."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from pugeo_model.errors import (
     UnsupportedFormatError,
     UntreatableCloudError,
 )
-from pugeo_service.http.plain_json import plain_json
+from pugeo_service.json_encoding import encode_json
 
 __all__ = [
     "MEDIA_TYPE",
@@ -59,7 +59,7 @@ PROBLEM_SCHEMA: dict[str, Any] = {
         "status": {"type": "integer"},
         "detail": {"type": "string"},
         "instance": {"type": "string"},
-        "code": {"type": "string", "description": "stable slug for programs"},
+        "code": {"type": "string", "description": "stable identifier for programs"},
         "request_id": {"type": "string"},
         "retryable": {"type": "boolean", "description": "the same request may succeed later"},
     },
@@ -68,7 +68,7 @@ PROBLEM_SCHEMA: dict[str, Any] = {
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI ``responses`` of a route that may answer with these problems."""
+    """Return the OpenAPI ``responses`` for problems of these statuses."""
     content = {MEDIA_TYPE: {"schema": PROBLEM_SCHEMA}}
     return {
         status: {"description": HTTPStatus(status).phrase, "content": content}
@@ -77,16 +77,16 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 class ProblemError(Exception):
-    """An error with everything its answer needs.
+    """An error with the content of its problem document.
 
     Args:
         status: HTTP status, 400 to 599.
-        code: stable slug for programs.
-        detail: what is wrong and what would be right, for a person.
-        retryable: whether the same request may succeed later; by default a matter of the status.
+        code: stable identifier for programs.
+        detail: the cause and the remedy, for a person.
+        retryable: the same request may succeed later; by default it depends on the status.
         retry_after: seconds, for the ``Retry-After`` header.
         headers: further headers of the answer.
-        fields: further members of the problem (limits, values).
+        fields: further members of the document (limits, values).
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class ProblemError(Exception):
 
     @classmethod
     def from_cloud_error(cls, error: CloudError) -> "ProblemError":
-        """Give an error of the model its HTTP status."""
+        """Convert an error of the model."""
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
         return cls(status, error.code, error.message, fields=error.fields)
 
@@ -120,10 +120,10 @@ class ProblemError(Exception):
         """Return the members of the problem document.
 
         Args:
-            instance: path of what it happened to.
-            request_id: names it in the log.
+            instance: path of the request or of the job.
+            request_id: id of the request in the log.
         """
-        # RFC 9457: what a client sent may name a member; the standard ones stay ours.
+        # Standard members last: a field of the same name must not replace them.
         return {
             **self.fields,
             "type": f"urn:pugeo:problem:{self.code}",
@@ -137,26 +137,26 @@ class ProblemError(Exception):
         }
 
     def response(self, scope: Mapping[str, Any]) -> Response:
-        """Build the answer for the request of an ASGI ``scope``."""
+        """Build the response to the request of an ASGI ``scope``."""
         members = self.members(scope.get("path", ""), scope.get("state", {}).get("request_id", ""))
         return Response(
-            plain_json(members), self.status, headers=self.headers, media_type=MEDIA_TYPE
+            encode_json(members), self.status, headers=self.headers, media_type=MEDIA_TYPE
         )
 
 
 def bug() -> ProblemError:
-    """Return what is told of an error that nobody expected: nothing but where to look."""
-    detail = "An error of the service itself; its log has the cause under this request_id."
+    """Return the problem for an unexpected error; it reveals only the id in the log."""
+    detail = "Unexpected error of the service; its log has the cause under this request_id."
     return ProblemError(500, "internal_error", detail, retryable=False)
 
 
 def internal_error(scope: Mapping[str, Any]) -> Response:
-    """Build the answer to a bug."""
+    """Build the response to a request that caused an unexpected error."""
     return bug().response(scope)
 
 
 def install(app: FastAPI) -> None:
-    """Make every error of the routes and of the framework a problem."""
+    """Register handlers that turn all errors of routes and framework into problems."""
 
     @app.exception_handler(ProblemError)
     async def on_problem(request: Request, error: ProblemError) -> Response:
@@ -175,16 +175,18 @@ def install(app: FastAPI) -> None:
         code = _CODE.get(error.status_code, "http_error")
         detail, headers = error.detail, dict(error.headers or {})
         if error.status_code == 404:
-            detail = f"There is nothing at {request.url.path}; /openapi.json lists what there is."
+            detail = f"There is no route {request.url.path}; /openapi.json lists all routes."
         elif error.status_code == 405:
-            detail = f"{request.method} is not a method of {request.url.path}."
+            detail = (
+                f"{request.url.path} does not support {request.method}; see Allow for its methods."
+            )
             headers["Allow"] = _allowed(app, request.scope, headers.get("Allow", ""))
         problem = ProblemError(error.status_code, code, detail, headers=headers)
         return problem.response(request.scope)
 
 
 def _allowed(app: FastAPI, scope: Mapping[str, Any], found: str) -> str:
-    """Return all methods of a path, where the framework found those of one of its routes."""
+    """Return all methods of a path; the framework reports those of one route only."""
     path = getattr(scope.get("route"), "path", None)
     described = {method.upper() for method in app.openapi()["paths"].get(path, ())}
     return ", ".join(sorted({*described, *found.replace(",", " ").split()}))
@@ -199,7 +201,7 @@ def _invalid(error: RequestValidationError) -> ProblemError:
 
 
 def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Say of one error which parameter, which value and which limit, as far as there are any."""
+    """Return message, parameter, value and limit of one validation error, if present."""
     found: dict[str, Any] = {"message": entry["msg"].removeprefix("Value error, ")}
     path = entry["loc"][1:]
     if path:

@@ -1,33 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a request and a job have in common: how they order work, and how its failures are told."""
+"""Steps that requests and jobs share: making run requests, reporting failures, counting runs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import structlog
 
 from pugeo_service.engine import DiskError, EngineLostError, RunRequest, RunResult, WorkerLostError
-from pugeo_service.http.negotiation import DEFAULT, OFFERS, Offer, choose
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problem
 
-__all__ = ["count_run", "engine_problems", "make_run_request", "offer_of"]
+__all__ = ["count_run", "engine_problems", "make_run_request"]
 
-_log = structlog.stdlib.get_logger("pugeo.work")
-
-
-def offer_of(headers: Mapping[str, str], wanted: str | None) -> Offer:
-    """Choose the format of an answer by the headers of a request and its ``?format=``.
-
-    Raises:
-        ProblemError: 406 or 422, as `choose`.
-    """
-    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
-    default = OFFERS["json"] if kind == "application/json" else DEFAULT
-    return choose(headers.get("accept"), wanted, default)
+_log = structlog.stdlib.get_logger("pugeo.runs")
 
 
 def make_run_request(
@@ -39,7 +27,7 @@ def make_run_request(
     deadline_s: float,
     background: bool = False,
 ) -> RunRequest:
-    """Make the order for a body; arguments are those of `RunRequest` that no setting decides."""
+    """Make a run request; the other attributes of `RunRequest` come from the settings."""
     return RunRequest(
         model=settings.model,
         format=format,
@@ -54,24 +42,25 @@ def make_run_request(
 
 @contextmanager
 def engine_problems() -> Iterator[None]:
-    """Turn what the engine raises within the block into problems.
+    """Raise errors of the engine within the block as problems.
 
     Raises:
-        ProblemError: 422 ``worker_lost`` or ``out_of_memory``: the cloud is too much for a worker;
-            503 ``engine_lost``: the workers cannot be reached; 503 as `storage_problem`.
+        ProblemError: 422 ``worker_lost`` or ``out_of_memory``, the cloud needs more memory or time
+            than a worker has; 503 ``engine_lost``, the workers cannot be reached; 503 of
+            `storage_problem`.
     """
     try:
         yield
     except WorkerLostError as error:
-        _log.error("a cloud ended its workers", reason=str(error))
+        _log.error("cloud ended its worker processes", reason=str(error))
         detail = (
-            "Working on this cloud ended the worker process every time, most likely because it "
-            "ran out of memory. A smaller cloud or a lower R may work; the same will not."
+            "Every worker process that ran this cloud ended, most likely because it ran out of "
+            "memory. Send a smaller cloud or lower R; the same request will fail again."
         )
         raise ProblemError(422, "worker_lost", detail, retryable=False) from error
     except EngineLostError as error:
-        _log.error("the engine is gone", reason=str(error))
-        detail = "The workers cannot be reached at the moment."
+        _log.error("engine lost", reason=str(error))
+        detail = "The workers cannot be reached; try again after the time in Retry-After."
         raise ProblemError(503, "engine_lost", detail, retry_after=5) from error
     except DiskError as error:
         raise storage_problem(error.error) from error
@@ -80,15 +69,15 @@ def engine_problems() -> Iterator[None]:
         raise ProblemError(422, "out_of_memory", detail, retryable=False) from error
 
 
-def count_run(telemetry: Telemetry, outcome: RunResult) -> None:
-    """Count a run that succeeded: its stages, its batches, its points."""
-    for stage, seconds in outcome.seconds.items():
+def count_run(telemetry: Telemetry, result: RunResult) -> None:
+    """Count stages, batches and points of a successful run."""
+    for stage, seconds in result.seconds.items():
         if stage == "queue":
             telemetry.queue_wait.observe(seconds)
         else:
             telemetry.stage_seconds.labels(stage).observe(seconds)
-    for seconds, patches in outcome.batches:
+    for seconds, patches in result.batches:
         telemetry.batch_seconds.observe(seconds)
         telemetry.batch_patches.observe(patches)
-    telemetry.points.labels("in").inc(outcome.report["points_in"])
-    telemetry.points.labels("out").inc(outcome.report["points_out"])
+    telemetry.points.labels("in").inc(result.report["points_in"])
+    telemetry.points.labels("out").inc(result.report["points_out"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""uvicorn, made to drain: on SIGTERM it stops taking work, finishes what it took, and exits 0."""
+"""The server process: uvicorn that drains on SIGTERM, finishes admitted requests and exits 0."""
 
 import asyncio
 import contextlib
@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from pugeo_model.errors import CloudError
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
-from pugeo_service.http.protocol import Connection
+from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.settings import Settings
@@ -38,8 +38,8 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        # uvicorn raises the signal again after a clean shutdown, and the process would seem
-        # killed (status 143) although it finished everything that it had accepted.
+        # uvicorn raises the signal again after a clean shutdown, which would end the process with
+        # status 143 although it finished all admitted requests.
         before = {number: signal.signal(number, self.handle_exit) for number in _SIGNALS}
         try:
             yield
@@ -54,9 +54,9 @@ class _Server(uvicorn.Server):
             return
         self._service.admission.draining = True
         loop = asyncio.get_event_loop()
-        # What a signal handler interrupts may be about to look at the very things this changes.
+        # Not here: a signal handler may interrupt code that uses the same state.
         loop.call_soon_threadsafe(self._service.drain)
-        # Load balancers need a moment to see "draining" before connections are refused.
+        # Load balancers need some time to see "draining" before connections are refused.
         loop.call_soon_threadsafe(loop.call_later, self._delay_s, self._exit)
 
     def fail(self) -> None:
@@ -71,7 +71,7 @@ def main(given: dict[str, Any]) -> int:
     """Serve with these settings over those of the environment; return the exit status.
 
     Returns:
-        0 after a clean end, 1 where the service could not start, 2 for a wrong setting.
+        0 after a clean end, 1 if the service could not start, 2 for a wrong setting.
     """
     try:
         settings = Settings(**given)
@@ -86,7 +86,7 @@ def main(given: dict[str, Any]) -> int:
 def serve(settings: Settings) -> int:
     """Serve until a signal ends it; return the exit status of the process.
 
-    The address is printed on stdout, so that whoever asked for port 0 learns which one it is.
+    The address is printed on stdout, because port 0 selects a free port.
     """
     if hint := tracing.missing_extra():
         sys.stderr.write(hint + "\n")
@@ -107,7 +107,7 @@ def serve(settings: Settings) -> int:
         app,
         host=settings.host,
         port=settings.port,
-        http=Connection,
+        http=ServerProtocol,
         ws="none",
         log_config=None,
         access_log=False,
@@ -136,7 +136,7 @@ def serve(settings: Settings) -> int:
 
 @contextlib.contextmanager
 def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
-    """Serve metrics on a port of their own, from a thread of their own."""
+    """Serve metrics on a separate port, in a separate thread."""
     server, thread = start_http_server(port, host, telemetry.registry)
     _log.info("metrics", port=server.server_port)
     try:
@@ -155,7 +155,7 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
-        # Whoever reads the address may connect at once, before uvicorn is up.
+        # Clients may connect as soon as the address is printed, before uvicorn starts.
         listener.listen()
     except OSError:
         listener.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be set, from the environment (``PUGEO_*``) or the command line."""
+"""Settings from the environment (``PUGEO_*``) or the command line."""
 
 import os
 import re
@@ -27,12 +27,12 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="0 takes a free port")] = 8000
     metrics_port: Annotated[
-        int | None, Field(ge=0, le=65535, description="metrics there, and not on the main port")
+        int | None, Field(ge=0, le=65535, description="separate port for metrics")
     ] = None
     api_keys: Annotated[
         tuple[keys.Entry, ...] | None,
         NoDecode,
-        Field(description="NAME:SHA256 of each key, with commas; without any, all may come in"),
+        Field(description="comma-separated NAME:SHA256 entries; no key is required if unset"),
     ] = None
     api_keys_file: Annotated[
         Path | None, Field(description="file of such entries, read again when it changes")
@@ -40,21 +40,22 @@ class Settings(BaseSettings):
     cors_origins: Annotated[
         tuple[str, ...],
         NoDecode,
-        Field(description="origins whose pages may call the service, with commas; * for all"),
+        Field(description="comma-separated origins whose pages may call the service; * for all"),
     ] = ()
     log_format: Literal["auto", "json", "console"] = "auto"
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     model: Annotated[str, Field(description="name or path of the weights")] = "standard"
     engine: Annotated[
-        Literal["dask", "inline"], Field(description="inline: threads in this process, to debug")
+        Literal["dask", "inline"],
+        Field(description="inline: threads in this process, for debugging"),
     ] = "dask"
-    workers: Annotated[int, Field(ge=0, description="0: one a processor, two at least")] = 0
+    workers: Annotated[int, Field(ge=0, description="0: one per processor, at least two")] = 0
     worker_memory: Annotated[
-        str, Field(description="bytes a worker may hold before it is replaced, or a share")
+        str, Field(description="memory limit of a worker in bytes, or as a fraction of all memory")
     ] = "auto"
     scheduler: Annotated[
-        str | None, Field(description="tls://host:port of a Dask cluster that runs elsewhere")
+        str | None, Field(description="tls://host:port of an external Dask cluster")
     ] = None
     tls_ca: Path | None = None
     tls_cert: Path | None = None
@@ -63,38 +64,48 @@ class Settings(BaseSettings):
     max_body_bytes: Annotated[int, Field(ge=1)] = 256 * MIB
     max_points: Annotated[int, Field(ge=1)] = 5_000_000
     max_output_points: Annotated[int, Field(ge=1)] = 20_000_000
-    queue_patches: Annotated[int, Field(ge=1, description="patches admitted at one time")] = 4096
-    queue_bytes: Annotated[int, Field(ge=1, description="bytes of bodies held at one time")] = (
-        1024 * MIB
+    queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
+        4096
     )
-    queue_requests: Annotated[int, Field(ge=1, description="requests admitted at one time")] = 64
+    queue_bytes: Annotated[int, Field(ge=1, description="bytes of bodies at one time")] = 1024 * MIB
+    queue_requests: Annotated[int, Field(ge=1, description="capacity of the queue in requests")] = (
+        64
+    )
 
-    deadline_s: Annotated[float, Field(gt=0, description="seconds a request may take")] = 600.0
-    body_idle_s: Annotated[float, Field(gt=0, description="seconds between two body chunks")] = 30.0
+    deadline_s: Annotated[float, Field(gt=0, description="maximum seconds of a request")] = 600.0
+    body_idle_s: Annotated[
+        float, Field(gt=0, description="maximum seconds between two chunks of a body")
+    ] = 30.0
     drain_delay_s: Annotated[
         float, Field(ge=0, description="seconds to answer 'draining' before the port closes")
     ] = 0.0
-    drain_s: Annotated[int, Field(ge=1, description="seconds to finish accepted work")] = 60
-    spool_dir: Annotated[Path, Field(description="folder of bodies and results on their way")] = (
-        Path(tempfile.gettempdir())
-    )
+    drain_s: Annotated[
+        int, Field(ge=1, description="seconds after SIGTERM to finish admitted requests")
+    ] = 60
+    spool_dir: Annotated[
+        Path, Field(description="folder for temporary files of bodies and answers")
+    ] = Path(tempfile.gettempdir())
 
     jobs_dir: Annotated[
-        Path | None, Field(description="folder of jobs; durable where that folder is")
+        Path | None, Field(description="folder for files of jobs; put it on a durable disk")
     ] = None
     database_url: Annotated[
-        str | None, Field(description="postgresql://... for jobs, instead of SQLite in jobs_dir")
+        str | None, Field(description="postgresql://... for jobs instead of SQLite in jobs_dir")
     ] = None
-    jobs_queue: Annotated[int, Field(ge=1, description="jobs queued or running")] = 1000
-    jobs_bytes: Annotated[int, Field(ge=1, description="bytes of inputs and results kept")] = (
+    jobs_queue: Annotated[
+        int, Field(ge=1, description="maximum number of queued and running jobs")
+    ] = 1000
+    jobs_bytes: Annotated[int, Field(ge=1, description="maximum bytes of inputs and results")] = (
         16 * 1024 * MIB
     )
-    jobs_running: Annotated[int, Field(ge=1, description="jobs that run at one time")] = 2
+    jobs_running: Annotated[int, Field(ge=1, description="maximum number of running jobs")] = 2
     jobs_attempts: Annotated[
-        int, Field(ge=1, description="ends of the service that a job may run at before it fails")
+        int, Field(ge=1, description="crashes of the service during one job before that job fails")
     ] = 5
-    jobs_ttl_s: Annotated[float, Field(gt=0, description="seconds a result is kept")] = 86400.0
-    jobs_deadline_s: Annotated[float, Field(gt=0, description="seconds a job may run")] = 3600.0
+    jobs_ttl_s: Annotated[float, Field(gt=0, description="seconds until a result is deleted")] = (
+        86400.0
+    )
+    jobs_deadline_s: Annotated[float, Field(gt=0, description="maximum seconds of a job")] = 3600.0
 
     @field_validator("api_keys", mode="before")
     @classmethod
@@ -103,15 +114,15 @@ class Settings(BaseSettings):
             return value
         entries = keys.parse(value.split(","))
         if not entries:
-            # A secret that failed to arrive must not open the door.
-            raise ValueError("holds no key; unset it to let everybody in")
+            # An empty secret must not disable authentication.
+            raise ValueError("contains no key; unset it to require no key")
         return entries
 
     @field_validator("api_keys_file", mode="before")
     @classmethod
     def _named(cls, value: Any) -> Any:
         if value == "":
-            raise ValueError("names no file; unset it to let everybody in")
+            raise ValueError("names no file; unset it to require no key")
         return value
 
     @field_validator("cors_origins", mode="before")
@@ -120,15 +131,15 @@ class Settings(BaseSettings):
         origins = value.replace(" ", "").split(",") if isinstance(value, str) else list(value)
         for origin in filter(None, origins):
             if origin != "*" and not _ORIGIN.fullmatch(origin):
-                raise ValueError(f"{origin!r} is no origin such as https://example.org")
+                raise ValueError(f"{origin!r} is not an origin such as https://example.org")
         return tuple(filter(None, origins))
 
     @field_validator("scheduler")
     @classmethod
     def _encrypted(cls, value: str | None) -> str | None:
-        # A scheduler runs whatever it is sent: without mutual TLS it is a remote shell.
+        # A scheduler executes any code it receives, so only mutual TLS is allowed.
         if value is not None and not value.startswith("tls://"):
-            raise ValueError("the scheduler must be reached over tls://host:port")
+            raise ValueError("must be tls://host:port")
         return value
 
     @field_validator("database_url")
@@ -149,15 +160,15 @@ class Settings(BaseSettings):
     def _credentials(self) -> Self:
         missing = [n for n in ("tls_ca", "tls_cert", "tls_key") if getattr(self, n) is None]
         if self.scheduler is not None and missing:
-            raise ValueError(f"a scheduler elsewhere needs {', '.join(missing)} as well")
+            raise ValueError(f"an external scheduler needs {', '.join(missing)} as well")
         return self
 
     @property
     def jobs_folder(self) -> Path:
         """Folder of jobs.
 
-        Services on one machine listen on different ports, so by default each has its own. One on
-        a free port cannot be found again after a restart, and neither need its jobs.
+        By default it is named after the port, which differs among the services of a machine. With
+        port 0 it is deleted at the end, because clients cannot find the service again.
         """
         if self.jobs_dir is not None:
             return self.jobs_dir
@@ -166,7 +177,7 @@ class Settings(BaseSettings):
 
     @property
     def jobs_folder_is_private(self) -> bool:
-        """Whether the folder of jobs ends with this process."""
+        """Whether the folder of jobs is deleted at the end of this process."""
         return self.jobs_dir is None and self.port == 0
 
     @property
@@ -178,6 +189,6 @@ class Settings(BaseSettings):
     def worker_count(self) -> int:
         """Worker processes of the local cluster.
 
-        Two at least: while one runs a long step or is being replaced, the other serves.
+        At least two, so that one can serve while the other runs a long stage or is replaced.
         """
         return self.workers or max(2, available_cpus())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What deploy/ and docker-compose.yml say of the service holds."""
+"""deploy/ and docker-compose.yml agree with the service."""
 
 import re
 from pathlib import Path
@@ -19,18 +19,18 @@ def loaded(path: Path) -> dict[str, Any]:
 
 
 def test_prometheus_asks_where_the_metrics_are(root: Path) -> None:
-    """The port that is scraped is the port of metrics, in the container that is named."""
+    """The scraped port is the port of metrics of the named container."""
     services = loaded(root / "docker-compose.yml")["services"]
     (scrape,) = loaded(root / "deploy/prometheus/prometheus.yml")["scrape_configs"]
     for target in scrape["static_configs"][0]["targets"]:
         name, _, port = target.partition(":")
         assert services[name]["environment"]["PUGEO_METRICS_PORT"] == port
-        # Metrics are for this network alone: no key guards them there.
+        # The port is internal, because metrics there need no key.
         assert not any(str(port) in published for published in services[name]["ports"])
 
 
 def test_every_metric_that_is_named_is_served(root: Path, tmp_path: Path) -> None:
-    """Panels, alerts and rules ask for nothing that /metrics does not tell, by name and type."""
+    """Panels, alerts and rules use only existing metrics."""
     text = (
         TestClient(create_app(Settings(engine="inline", spool_dir=tmp_path))).get("/metrics").text
     )
@@ -49,7 +49,7 @@ def test_every_metric_that_is_named_is_served(root: Path, tmp_path: Path) -> Non
 
 
 def test_secrets_are_passed_on_and_never_empty(root: Path) -> None:
-    """A variable without a value is passed on where it is set; an empty one would be refused."""
+    """Secrets are passed on without a default, because an empty value is refused."""
     environment = loaded(root / "docker-compose.yml")["services"]["api"]["environment"]
     for name in ("PUGEO_API_KEYS", "PUGEO_CORS_ORIGINS", "OTEL_EXPORTER_OTLP_ENDPOINT"):
         assert name in environment

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of the API works without anybody else's server."""
+"""The page of the API works without the internet."""
 
 import re
 import shutil
@@ -21,12 +21,12 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 @pytest.fixture
 def client(tmp_path: Path) -> TestClient:
-    """A service whose engine never starts."""
+    """A service whose engine is not started."""
     return TestClient(create_app(Settings(engine="inline", spool_dir=tmp_path)))
 
 
 def test_everything_it_loads_is_here(client: TestClient) -> None:
-    """Each script and style is served by us, with its type, and may be cached."""
+    """Each script and style is served by the service, with its type, and may be cached."""
     page = client.get("/docs")
     assert page.headers["content-type"].startswith("text/html")
     loaded = re.findall(r'(?:src|href)="([^"]+)"', page.text)
@@ -44,7 +44,7 @@ def test_everything_it_loads_is_here(client: TestClient) -> None:
 
 
 def test_its_policy_lets_nothing_else_in(client: TestClient) -> None:
-    """Scripts come from here and from files alone, and nobody may frame the page."""
+    """The policy allows only scripts of the service and no frames."""
     policy = client.get("/docs").headers["content-security-policy"]
     assert "script-src 'self';" in policy
     assert "default-src 'none'" in policy
@@ -54,7 +54,7 @@ def test_its_policy_lets_nothing_else_in(client: TestClient) -> None:
 
 
 def test_what_is_not_there(client: TestClient) -> None:
-    """Only the files of the page are served, and no way leads to others."""
+    """Only the files of the page are served."""
     for name in ("nothing.js", "LICENSE", "../docs.py", "%2e%2e%2fdocs.py"):
         assert client.get(f"/docs/{name}").status_code == 404
 
@@ -76,7 +76,7 @@ def address(tmp_path: Path) -> Iterator[str]:
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_a_browser_shows_it(address: str, tmp_path: Path) -> None:
-    """Chromium without a network builds the page, operations and all, and reports no error."""
+    """Chromium without a network shows all operations and reports no error."""
     assert CHROMIUM is not None
     command = [
         CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",

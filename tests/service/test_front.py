@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rules of the front that no type checker knows."""
+"""Rules of the front process that type checkers do not know."""
 
 import ast
 from pathlib import Path
@@ -11,7 +11,7 @@ from pugeo_service.settings import Settings
 
 
 def test_no_middleware_hides_the_disconnect(root: Path) -> None:
-    """BaseHTTPMiddleware and ``@app.middleware`` keep routes from seeing that a client left."""
+    """No middleware of a kind that hides disconnects from routes is used."""
     for path in (root / "service").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom):
@@ -22,7 +22,7 @@ def test_no_middleware_hides_the_disconnect(root: Path) -> None:
 
 
 def test_nothing_prints(root: Path) -> None:
-    """The service logs; only the address goes to stdout, on purpose and by other means."""
+    """The service logs and never prints."""
     for path in (root / "service").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
@@ -30,7 +30,7 @@ def test_nothing_prints(root: Path) -> None:
 
 
 def test_the_schema_tells_the_contract() -> None:
-    """Every operation has a stable id; /upsample tells its bodies, options, answers, problems."""
+    """The document has all operations, and all options and problems of /upsample."""
     schema = create_app(Settings(engine="inline")).openapi()
     ids = {
         operation["operationId"] for path in schema["paths"].values() for operation in path.values()
@@ -49,7 +49,7 @@ def test_the_schema_tells_the_contract() -> None:
 
 
 def test_no_page_loads_from_elsewhere() -> None:
-    """The stock documentation pages, which need the internet, are off."""
+    """FastAPI's own documentation pages, which need the internet, are off."""
     app = create_app(Settings(engine="inline"))
     assert app.docs_url is None
     assert app.redoc_url is None

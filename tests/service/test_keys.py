@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys: hashes alone are kept, and they come and go with the file."""
+"""API keys: hashes, headers, and rotation by file."""
 
 import hashlib
 import hmac
@@ -29,7 +29,7 @@ def bearer(token: str) -> dict[str, str]:
 
 
 def test_both_headers_and_the_owner() -> None:
-    """Either header opens, whatever the case of the scheme; the name of the key comes back."""
+    """Both headers work, in any case of the scheme, and give the owner."""
     keys = Keys(None, parse([entry("ann", "secret-a"), entry("bob", "secret-b")]))
     assert keys.required
     assert keys.owner(bearer("secret-a")) == "ann"
@@ -51,19 +51,19 @@ def test_both_headers_and_the_owner() -> None:
     ],
 )
 def test_what_does_not_open(headers: dict[str, str]) -> None:
-    """No key, a wrong one, another scheme, and the hash itself, which a leaked file would give."""
+    """No key, a wrong one, another scheme, and the hash of a key are refused."""
     assert Keys(None, parse([entry("ann", "secret-a")])).owner(headers) is None
 
 
 def test_the_empty_token_is_never_a_key() -> None:
-    """Not even where somebody entered its hash."""
+    """The empty token is refused even if its hash is an entry."""
     keys = Keys(None, parse([entry("nobody", "")]))
     assert keys.owner({}) is None
     assert keys.owner(bearer("")) is None
 
 
 def test_every_entry_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time taken does not tell which key matched: all are compared, in constant time each."""
+    """All keys are compared in constant time, so the time reveals nothing."""
     entries = parse([entry(name, name) for name in "abcd"])
     keys = Keys(None, entries)
     seen: list[str] = []
@@ -79,13 +79,13 @@ def test_every_entry_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def write(path: Path, text: str, stamp: int) -> None:
-    """Write a file with a time of its own, however fast the test runs."""
+    """Write a file with a given modification time."""
     path.write_text(text)
     os.utime(path, ns=(stamp, stamp))
 
 
 def test_rotation(tmp_path: Path) -> None:
-    """A key added to the file opens at once, one taken out does not; old and new share a name."""
+    """Added keys are valid at once, removed ones invalid; several may have one name."""
     path = tmp_path / "keys"
     write(path, f"# our keys\n\n{entry('ann', 'old')}\n", 1)
     keys = Keys(path, None)
@@ -97,7 +97,7 @@ def test_rotation(tmp_path: Path) -> None:
 
 
 def test_a_file_replaced_within_a_tick(tmp_path: Path) -> None:
-    """Another file of the same size and time, as mounted secrets are swapped, is seen too."""
+    """A file replaced by one of the same size and time is read again."""
     path = tmp_path / "keys"
     write(path, entry("ann", "one"), 5)
     keys = Keys(path, None)
@@ -110,7 +110,7 @@ def test_a_file_replaced_within_a_tick(tmp_path: Path) -> None:
     "broken", ["ann", "ann:secret", f"a b:{'0' * 64}", f"ann:{'0' * 63}", f"ann:{'A' * 64}"]
 )
 def test_a_broken_file_changes_nothing(tmp_path: Path, broken: str) -> None:
-    """The last good keys stay, and the log says which line, without what it holds."""
+    """The previous keys stay valid; the error gives the number of the line but not its text."""
     path = tmp_path / "keys"
     write(path, entry("ann", "good"), 1)
     keys = Keys(path, None)
@@ -123,7 +123,7 @@ def test_a_broken_file_changes_nothing(tmp_path: Path, broken: str) -> None:
 
 
 def test_bytes_that_are_no_text(tmp_path: Path) -> None:
-    """A file in another encoding is broken like any other."""
+    """A file that is not UTF-8 is malformed."""
     path = tmp_path / "keys"
     write(path, entry("ann", "good"), 1)
     keys = Keys(path, None)
@@ -133,7 +133,7 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("state", ["missing", "empty", "comments", "folder", "broken"])
 def test_no_keys_let_nobody_in(tmp_path: Path, state: str) -> None:
-    """A setting that names a file with no key in it closes the service and does not open it."""
+    """A key file without a valid key refuses all requests."""
     path = tmp_path / "keys"
     if state == "folder":
         path.mkdir()
@@ -146,7 +146,7 @@ def test_no_keys_let_nobody_in(tmp_path: Path, state: str) -> None:
 
 
 def test_a_file_that_goes_away(tmp_path: Path) -> None:
-    """Its keys go with it, and come back with it."""
+    """The keys of a deleted file are invalid until it is back."""
     path = tmp_path / "keys"
     write(path, entry("ann", "good"), 1)
     keys = Keys(path, None)
@@ -157,7 +157,7 @@ def test_a_file_that_goes_away(tmp_path: Path) -> None:
 
 
 def test_file_and_settings_add_up(tmp_path: Path) -> None:
-    """Keys of both open."""
+    """Keys of both are valid."""
     path = tmp_path / "keys"
     path.write_text(entry("ann", "one"))
     keys = Keys(path, parse([entry("bob", "two")]))
@@ -165,14 +165,14 @@ def test_file_and_settings_add_up(tmp_path: Path) -> None:
 
 
 def test_without_settings_nothing_is_asked_for() -> None:
-    """The service is open, and requests have no owner."""
+    """Without settings no key is required, and requests have no owner."""
     assert not Keys(None, None).required
     assert owner_of(Request({"type": "http", "headers": []})) == ""
     assert owner_of(Request({"type": "http", "headers": [], "state": {"owner": "ann"}})) == "ann"
 
 
 def test_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Entries come with commas; one of another form is refused without being quoted."""
+    """Entries are separated by commas; the error for a malformed one does not quote it."""
     line = entry("ann", "a")
     monkeypatch.setenv("PUGEO_API_KEYS", f"{line}, {entry('bob', 'b')}")
     settings = Settings()
@@ -187,14 +187,14 @@ def test_settings(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("name", ["PUGEO_API_KEYS", "PUGEO_API_KEYS_FILE"])
 def test_an_empty_setting_is_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """A secret that failed to arrive must not open the door."""
+    """An empty setting is refused, because it may be a missing secret."""
     monkeypatch.setenv(name, "")
     with pytest.raises(ValidationError, match="unset it"):
         Settings()
 
 
 def test_tokens_are_long_and_differ() -> None:
-    """256 bits each, behind a prefix that scanners for leaked secrets can look for."""
+    """Tokens have 256 random bits after a fixed prefix."""
     one, two = new_token(), new_token()
     assert one != two
     assert one.startswith("pugeo_")
@@ -202,7 +202,7 @@ def test_tokens_are_long_and_differ() -> None:
 
 
 def test_the_command(tmp_path: Path) -> None:
-    """`pugeo keys new` prints the entry to append, and the key once, apart from it."""
+    """`pugeo keys new` prints the entry to stdout and the key to stderr."""
     made = subprocess.run([PUGEO, "keys", "new", "ann"], capture_output=True, text=True, check=True)
     token = made.stderr.split()[-1]
     assert made.stdout == f"{Entry('ann', hash_of(token))}\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every error becomes RFC 9457, whoever raises it."""
+"""Errors as problem documents of RFC 9457."""
 
 import json
 from typing import Any
@@ -25,7 +25,7 @@ SCOPE = {"path": "/upsample", "state": {"request_id": "abc"}}
 
 
 def document(problem: ProblemError) -> dict[str, Any]:
-    """The members that a client reads."""
+    """Members of the problem document."""
     response = problem.response(SCOPE)
     assert response.media_type == MEDIA_TYPE
     parsed: dict[str, Any] = orjson.loads(response.body)
@@ -33,7 +33,7 @@ def document(problem: ProblemError) -> dict[str, Any]:
 
 
 def test_the_members() -> None:
-    """A problem has all members of the schema, and its own fields beside them."""
+    """A problem has all members of the schema, and its own fields."""
     found = document(ProblemError(413, "too_large", "Too large.", fields={"limit": 5, "value": 7}))
     assert set(PROBLEM_SCHEMA["required"]) < set(found)
     assert found == {
@@ -51,7 +51,7 @@ def test_the_members() -> None:
 
 
 def test_fields_cannot_replace_the_members() -> None:
-    """A field called status does not change the status."""
+    """A field named status does not change the status."""
     assert document(ProblemError(422, "x", "y", fields={"status": 200}))["status"] == 422
 
 
@@ -76,19 +76,19 @@ def test_errors_of_the_model(error: CloudError, status: int) -> None:
 
 @pytest.mark.parametrize(("status", "retryable"), [(408, True), (503, True), (504, True)])
 def test_what_may_be_tried_again(status: int, *, retryable: bool) -> None:
-    """What is the service's fault may work later."""
+    """Errors of the service are retryable."""
     assert document(ProblemError(status, "x", "y"))["retryable"] is retryable
 
 
 def test_retry_after_is_a_whole_number() -> None:
-    """The header takes whole seconds, at least one."""
+    """The header has whole seconds, at least one."""
     headers = [ProblemError(503, "x", "y", retry_after=wait).headers for wait in (0.0, 1.2)]
     assert [h["Retry-After"] for h in headers] == ["1", "2"]
 
 
 @pytest.fixture
 def client() -> TestClient:
-    """An application with nothing but the handlers."""
+    """An application with the handlers only."""
     app = FastAPI(redirect_slashes=False)
     problems.install(app)
 
@@ -125,7 +125,7 @@ def test_invalid_parameter(client: TestClient) -> None:
 
 
 def test_an_internal_error_says_nothing() -> None:
-    """A bug is answered with an id to look for, not with its traceback."""
+    """The response to an unexpected error has an id but no detail."""
     response = problems.internal_error(SCOPE)
     found = orjson.loads(response.body)
     assert (response.status_code, found["code"], found["request_id"]) == (
@@ -136,7 +136,7 @@ def test_an_internal_error_says_nothing() -> None:
 
 
 def test_numbers_of_any_kind() -> None:
-    """A client may send numbers that no machine word holds; quoting them is no error of ours."""
+    """Numbers of any size, numpy values and NaN can be fields."""
     fields = {"value": 10**300, "limit": np.int64(7), "mean": float("nan"), "at": np.zeros(2)}
     response = ProblemError(422, "bad_option", "No.", fields=fields).response(SCOPE)
     found = json.loads(bytes(response.body))

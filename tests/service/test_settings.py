@@ -19,36 +19,36 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_arguments_win(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the command line says counts more than the environment."""
+    """Arguments have priority over the environment."""
     monkeypatch.setenv("PUGEO_PORT", "1234")
     assert Settings(port=4321).port == 4321
 
 
 def test_two_workers_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On one processor a second worker still serves small requests beside a long step."""
+    """On one processor there are two workers."""
     monkeypatch.setattr(module, "available_cpus", lambda: 1)
     assert Settings(workers=0).worker_count == 2
 
 
 def test_one_worker_if_asked_for() -> None:
-    """An explicit number is taken as it is."""
+    """An explicit number of workers is used."""
     assert Settings(workers=1).worker_count == 1
 
 
 @pytest.mark.parametrize("address", ["tcp://scheduler:8786", "scheduler:8786", "ws://x:1"])
 def test_an_open_scheduler_is_refused(address: str) -> None:
-    """A scheduler runs what it is sent, so it is only talked to over mutual TLS."""
+    """A scheduler without TLS is refused, because it executes any code it receives."""
     with pytest.raises(ValidationError, match="tls://"):
         Settings(scheduler=address)
 
 
 def test_a_scheduler_needs_credentials(tmp_path: Path) -> None:
-    """The message names every file that is missing."""
+    """The error names every missing file."""
     with pytest.raises(ValidationError, match="tls_cert, tls_key"):
         Settings(scheduler="tls://scheduler:8786", tls_ca=tmp_path / "ca.pem")
 
 
 def test_a_spool_folder_must_exist(tmp_path: Path) -> None:
-    """A missing folder is told at the start and not at the first upload."""
+    """A missing folder is an error at the start."""
     with pytest.raises(ValidationError, match="not a folder"):
         Settings(spool_dir=tmp_path / "missing")

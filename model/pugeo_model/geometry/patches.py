@@ -166,12 +166,12 @@ def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-
             x = np.float32((points[other, 0] - points[i, 0]) * scale)
             y = np.float32((points[other, 1] - points[i, 1]) * scale)
             z = np.float32((points[other, 2] - points[i, 2]) * scale)
-            far = np.sqrt(x * x + y * y + z * z)
-            if far > _LARGEST_DISTANCE:
-                x *= _LARGEST_DISTANCE / far
-                y *= _LARGEST_DISTANCE / far
-                z *= _LARGEST_DISTANCE / far
-                far = np.float32(_LARGEST_DISTANCE)
+            distance = np.sqrt(x * x + y * y + z * z)
+            if distance > _LARGEST_DISTANCE:
+                x *= _LARGEST_DISTANCE / distance
+                y *= _LARGEST_DISTANCE / distance
+                z *= _LARGEST_DISTANCE / distance
+                distance = np.float32(_LARGEST_DISTANCE)
             u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z
             v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z
             h = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z
@@ -182,7 +182,7 @@ def _edges(points, neighbours, axes, spacing, quadric, out):  # type: ignore[no-
             out[j, i, 1] = v
             out[j, i, 2] = h
             out[j, i, 3] = min(max(h - fit, -_LARGEST_DISTANCE), _LARGEST_DISTANCE)
-            out[j, i, 4] = far
+            out[j, i, 4] = distance
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -24,19 +24,19 @@ def nearest_both(
     Returns:
         ``(K,)`` and ``(L,)``.
     """
-    there, _ = knn(cKDTree(reference), prediction, 1)
-    back, _ = knn(cKDTree(prediction), reference, 1)
-    return there[:, 0], back[:, 0]
+    to_reference, _ = knn(cKDTree(reference), prediction, 1)
+    to_prediction, _ = knn(cKDTree(prediction), reference, 1)
+    return to_reference[:, 0], to_prediction[:, 0]
 
 
-def chamfer(there: NDArray[np.float64], back: NDArray[np.float64]) -> float:
+def chamfer(to_reference: NDArray[np.float64], to_prediction: NDArray[np.float64]) -> float:
     """Chamfer distance CD: half the sum of both mean nearest distances (not squared)."""
-    return float(there.mean() + back.mean()) / 2
+    return float(to_reference.mean() + to_prediction.mean()) / 2
 
 
-def hausdorff(there: NDArray[np.float64], back: NDArray[np.float64]) -> float:
+def hausdorff(to_reference: NDArray[np.float64], to_prediction: NDArray[np.float64]) -> float:
     """Hausdorff distance HD: the larger of both largest nearest distances."""
-    return float(max(there.max(), back.max()))
+    return float(max(to_reference.max(), to_prediction.max()))
 
 
 def jensen_shannon(prediction: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
@@ -54,9 +54,9 @@ def sphere_distances(
     Each cloud is first centred on its own mean and scaled to radius 1, as in the protocol of
     PU-GAN and its successors.
     """
-    there, back = nearest_both(_to_sphere(prediction), _to_sphere(reference))
-    means = float((there**2).mean() + (back**2).mean())
-    return means, float((there**2).max() + (back**2).max())
+    to_reference, to_prediction = nearest_both(_to_sphere(prediction), _to_sphere(reference))
+    means = float((to_reference**2).mean() + (to_prediction**2).mean())
+    return means, float((to_reference**2).max() + (to_prediction**2).max())
 
 
 def evenness(points: NDArray[np.float64]) -> float:

@@ -168,12 +168,12 @@ def measure(
         reference: ``(K, 3)`` even sample of the surface.
         truth: the surface.
     """
-    there, back = nearest_both(points, reference)
+    to_reference, to_prediction = nearest_both(points, reference)
     distance, face, _ = truth.distance.nearest(points)
     sphere_mean, sphere_max = sphere_distances(points, reference)
     row = {
-        "CD": 1e2 * chamfer(there, back),
-        "HD": 1e2 * hausdorff(there, back),
+        "CD": 1e2 * chamfer(to_reference, to_prediction),
+        "HD": 1e2 * hausdorff(to_reference, to_prediction),
         "JSD": 1e2 * jensen_shannon(points, reference),
         "P2F": 1e3 * float(distance.mean()),
         "P2F_std": 1e3 * float(distance.std()),
@@ -202,10 +202,10 @@ def measure_surface(surface: Mesh, truth: Truth) -> dict[str, float]:
     ``sqrt(area / 200000)``.
     """
     points = uniform(*surface, _SURFACE_SAMPLES, np.random.default_rng(0))
-    there, back = nearest_both(points, truth.sample)
+    to_reference, to_prediction = nearest_both(points, truth.sample)
     return {
-        "CD#": 1e2 * chamfer(there, back),
-        "HD#": 1e2 * hausdorff(there, back),
+        "CD#": 1e2 * chamfer(to_reference, to_prediction),
+        "HD#": 1e2 * hausdorff(to_reference, to_prediction),
         "JSD#": 1e2 * jensen_shannon(points, truth.sample),
     }
 

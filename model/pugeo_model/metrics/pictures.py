@@ -129,9 +129,9 @@ def _write(panels: list[tuple[Floats, str, str]], title: str, target: Path) -> N
         middle = (index + 0.5) * width
         figure.text(middle, 1.12 / height, name, color=_TITLE_COLOR, size=15, ha="center")
         figure.text(middle, 0.82 / height, caption, color=_CAPTION_COLOR, size=12, ha="center")
-    place = figure.add_axes((0.2 * width, 0.52 / height, 0.6 * width, 0.12 / height))
+    bar_axes = figure.add_axes((0.2 * width, 0.52 / height, 0.6 * width, 0.12 / height))
     scale = ScalarMappable(Normalize(0.0, 1e3 * LARGEST_ERROR), _COLORS)
-    bar = figure.colorbar(scale, cax=place, orientation="horizontal", extend="max")
+    bar = figure.colorbar(scale, cax=bar_axes, orientation="horizontal", extend="max")
     bar.ax.tick_params(colors=_CAPTION_COLOR, labelsize=10)
     bar.set_label("×10⁻³ of the longest side", color=_CAPTION_COLOR, size=10)
     figure.savefig(target, facecolor=background)

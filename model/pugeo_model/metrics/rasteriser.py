@@ -45,9 +45,9 @@ class Camera:
     def on(cls, points: Floats, **changes: float) -> "Camera":
         """Create a camera whose picture contains a whole cloud ``(M, 3)``, with a small margin."""
         upright = cls(np.zeros(3), 1.0, **changes)  # type: ignore[arg-type]
-        seen = points @ upright.rotation().T
-        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        extent = 1.08 * float(np.abs(seen - middle)[:, :2].max())
+        view = points @ upright.rotation().T
+        middle = (view.min(axis=0) + view.max(axis=0)) / 2
+        extent = 1.08 * float(np.abs(view - middle)[:, :2].max())
         return cls(middle @ upright.rotation(), extent, **changes)  # type: ignore[arg-type]
 
     def rotation(self) -> Floats:
@@ -89,19 +89,19 @@ def splat(
     """
     side = camera.pixels * SUPERSAMPLING
     rotation = camera.rotation()
-    seen = (points - camera.centre) @ rotation.T
+    view = (points - camera.centre) @ rotation.T
     scale = side / (2 * camera.extent)
     if normals is None:
         facing = np.broadcast_to(VIEWER, points.shape)
-        dots = _fragments(seen, facing, radius, scale, side)
-        backs = _fragments(seen - 7 * radius * VIEWER, facing, 3 * radius, scale, side)
+        dots = _fragments(view, facing, radius, scale, side)
+        backs = _fragments(view - 7 * radius * VIEWER, facing, 3 * radius, scale, side)
         backs = (*backs[:3], backs[3] + len(points))
         fragments = tuple(np.concatenate(pair) for pair in zip(dots, backs, strict=True))
-        shaded = np.vstack([colors * _fog(seen[:, 2:]), np.broadcast_to(BACKGROUND, colors.shape)])
+        shaded = np.vstack([colors * _fog(view[:, 2:]), np.broadcast_to(BACKGROUND, colors.shape)])
     else:
         facing = normals @ rotation.T
         facing = np.where(facing[:, 2:] < 0, -facing, facing)
-        fragments = _fragments(seen, facing, radius, scale, side)
+        fragments = _fragments(view, facing, radius, scale, side)
         shaded = _light(colors, facing) if lit else colors
     pixel, depth, weight, owner = fragments
     nearest = np.full(side * side, -np.inf)
@@ -138,25 +138,25 @@ def _fog(depth: Floats) -> Floats:
 
 
 def _fragments(
-    seen: Floats, facing: Floats, radius: float, scale: float, side: int
+    view: Floats, facing: Floats, radius: float, scale: float, side: int
 ) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
     """Divide discs into pixels: flat pixel index, depth, weight and point of each fragment."""
     extent = max(1, int(np.ceil(radius * scale)))
     offsets = np.stack(np.meshgrid(*[np.arange(-extent, extent + 1)] * 2), axis=-1).reshape(-1, 2)
     offsets = offsets[np.hypot(*offsets.T) <= extent + 0.5]
-    place = seen[:, :2] * scale * [1, -1] + side / 2
-    corner = np.floor(place)
+    position = view[:, :2] * scale * [1, -1] + side / 2
+    corner = np.floor(position)
     # Bounded, since a disc seen edge-on is infinitely thin and steep.
     steep = np.maximum(facing[:, 2], 0.15)
     parts = []
     for offset in offsets:
         at = corner + offset
-        dx, dy = ((at + 0.5 - place) / scale).T * [[1], [-1]]
+        dx, dy = ((at + 0.5 - position) / scale).T * [[1], [-1]]
         rise = -(facing[:, 0] * dx + facing[:, 1] * dy) / steep
         within = (dx**2 + dy**2 + rise**2) / radius**2
         inside = (within < 1) & np.all((at >= 0) & (at < side), axis=1)
         pixel = (at[inside, 1] * side + at[inside, 0]).astype(np.intp)
-        depth = seen[inside, 2] + rise[inside]
+        depth = view[inside, 2] + rise[inside]
         parts.append((pixel, depth, (1 - within[inside]) ** 2 + 1e-6, np.flatnonzero(inside)))
     pixels, depths, weights, owners = (np.concatenate(part) for part in zip(*parts, strict=True))
     return pixels, depths, weights, owners

@@ -164,16 +164,16 @@ def _compare(
         )
         length = np.sqrt(x * x + y * y + z * z)
         inverse = 1.0 / length if length > 0.0 else 1.0
-        here = (normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z) * inverse
-        there = (normals[j, 0] * x + normals[j, 1] * y + normals[j, 2] * z) * inverse
-        cosine = -2.0 * here * there
+        left_dot = (normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z) * inverse
+        right_dot = (normals[j, 0] * x + normals[j, 1] * y + normals[j, 2] * z) * inverse
+        cosine = -2.0 * left_dot * right_dot
         for a in range(3):
             cosine += normals[i, a] * normals[j, a]
         # Two points that noise puts above each other look like the two sides of a wall. Such
         # edges are short, while edges around a sharp rim have the usual length.
         ratio = min(short[i], short[j]) * inverse
         shortness = min(ratio * ratio * ratio * ratio, 1.0) if length > 0.0 else 1.0
-        steepness = max(here * here, there * there)
+        steepness = max(left_dot * left_dot, right_dot * right_dot)
         weights[at] = max(1.0 - abs(cosine) + steepness * shortness, 0.0)
         opposite[at] = cosine < 0.0
 

@@ -119,8 +119,8 @@ def _gather(chart, widest, samples, neighbours, spheres, start, order, xs, ys, z
     for near in range(-1, neighbours.shape[1]):
         other = chart if near < 0 else neighbours[chart, near]
         a, b, c = spheres[other, 0] - x, spheres[other, 1] - y, spheres[other, 2] - z
-        far = max(spheres[other, 3] + widest, 0.0)
-        if a * a + b * b + c * c > far * far:
+        limit = max(spheres[other, 3] + widest, 0.0)
+        if a * a + b * b + c * c > limit * limit:
             continue
         for at in range(start[other], start[other + 1]):
             j = order[at]

@@ -57,8 +57,8 @@ def repel(
 def _push(samples, normals, neighbours, radius, moved):  # type: ignore[no-untyped-def]
     """One round of repulsion; writes the new positions into ``moved``."""
     for i in range(len(samples)):
-        here = samples[i, 0], samples[i, 1], samples[i, 2]
-        moved[i, 0], moved[i, 1], moved[i, 2] = here
+        position = samples[i, 0], samples[i, 1], samples[i, 2]
+        moved[i, 0], moved[i, 1], moved[i, 2] = position
         if radius[i] == 0.0:
             continue
         inverse = 1.0 / (_RANGE * radius[i])
@@ -68,9 +68,9 @@ def _push(samples, normals, neighbours, radius, moved):  # type: ignore[no-untyp
             j = neighbours[i, at]
             if j < 0:
                 break
-            x = here[0] - samples[j, 0]
-            y = here[1] - samples[j, 1]
-            z = here[2] - samples[j, 2]
+            x = position[0] - samples[j, 0]
+            y = position[1] - samples[j, 1]
+            z = position[2] - samples[j, 2]
             squared = max(x * x + y * y + z * z, _TINY)
             per = 1.0 / np.sqrt(squared)
             # Without a branch, since the processor could not predict it.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is let in: a queue bounded in patches, bytes and requests, and shared among its owners.
+"""Admission control: a queue bounded in patches, bytes and requests, shared fairly among owners.
 
-Patches are the unit because a request of a million points costs a thousand times one of a
-thousand points; a bound on requests alone would bound neither time nor memory.
+The main unit is the patch, because a request of a million points costs a thousand times as much as
+one of a thousand points. A bound on requests alone would limit neither time nor memory.
 """
 
 import functools
@@ -13,18 +13,18 @@ from types import TracebackType
 from typing import Self
 
 from pugeo_service.admission.fair_share import check_share
-from pugeo_service.admission.throughput import DrainRate, Pace
+from pugeo_service.admission.throughput import PatchCost, Throughput
 from pugeo_service.engine.scheduling import LARGE_PATCHES
 from pugeo_service.problems import ProblemError
 
-__all__ = ["Admission", "Hold"]
+__all__ = ["Admission", "QueueUsage", "Reservation"]
 
-_LONGEST_RETRY_S = 120.0
+_MAX_RETRY_S = 120.0
 
 
 @dataclass
-class Totals:
-    """What is taken up: by one request, by one owner, or by all together."""
+class QueueUsage:
+    """Part of the queue that is in use: by one request, by one owner, or in total."""
 
     patches: int = 0
     bytes: int = 0
@@ -32,13 +32,21 @@ class Totals:
 
 
 class Admission:
-    """The bounded queue. All its methods belong to the event loop of the front.
+    """The bounded queue. All methods must be called in the event loop of the front.
 
     Args:
-        max_patches: patches admitted and not yet finished. One request larger than that is let
-            in when nothing else waits, else it could never be served.
-        max_bytes: bytes of bodies held.
+        max_patches: patches admitted and not yet finished. A request larger than this is admitted
+            when the queue is empty; otherwise it could never be served.
+        max_bytes: bytes of bodies in memory or in the spool folder.
         max_requests: requests admitted and not yet finished.
+
+    Attributes:
+        draining: the service shuts down; new requests are refused.
+        throughput: patches per second.
+        patch_cost: seconds per patch.
+        usage: total use of the queue.
+        usage_by_owner: use of the queue by each owner.
+        admitted: reservations in the order of their admission.
     """
 
     def __init__(self, max_patches: int, max_bytes: int, max_requests: int) -> None:
@@ -46,66 +54,66 @@ class Admission:
         self.max_bytes = max_bytes
         self.max_requests = max_requests
         self.draining = False
-        self.rate = DrainRate()
-        self.pace = Pace()
-        self.totals = Totals()
-        self.owners: defaultdict[str, Totals] = defaultdict(Totals)
-        self.entered: dict[Hold, None] = {}
+        self.throughput = Throughput()
+        self.patch_cost = PatchCost()
+        self.usage = QueueUsage()
+        self.usage_by_owner: defaultdict[str, QueueUsage] = defaultdict(QueueUsage)
+        self.admitted: dict[Reservation, None] = {}
 
     @property
     def patches(self) -> int:
         """Patches admitted and not yet finished."""
-        return self.totals.patches
+        return self.usage.patches
 
     @property
     def bytes(self) -> int:
-        """Bytes of bodies held."""
-        return self.totals.bytes
+        """Bytes of bodies."""
+        return self.usage.bytes
 
     @property
     def requests(self) -> int:
         """Requests admitted and not yet finished."""
-        return self.totals.requests
+        return self.usage.requests
 
     @property
     def has_room(self) -> bool:
-        """Whether a small request would be let in now."""
+        """Whether a small request would be admitted now."""
         return (
             not self.draining
-            and self.totals.requests < self.max_requests
-            and self.totals.patches < self.max_patches
-            and self.totals.bytes < self.max_bytes
+            and self.usage.requests < self.max_requests
+            and self.usage.patches < self.max_patches
+            and self.usage.bytes < self.max_bytes
         )
 
-    def hold(self, owner: str = "") -> "Hold":
-        """Open an account for a request that begins.
+    def reserve(self, owner: str = "") -> "Reservation":
+        """Open the reservation of a new request.
 
         Args:
-            owner: whose share it counts to; ``""`` for nobody's, where no keys are asked for.
+            owner: name of the API key; ``""`` without keys, where no shares apply.
 
         Raises:
-            ProblemError: 503 while draining or where there is no room for even the smallest, 429
-                where the owner holds its share of requests already.
+            ProblemError: 503 while draining or if even the smallest request does not fit, 429 if
+                the owner has its share of requests.
         """
         self.check_draining()
         if not self.has_room:
-            raise self.full(1)
-        hold = Hold(self, owner)
-        hold.check_share(Totals(requests=1))
-        return hold
+            raise self.queue_full(1)
+        reservation = Reservation(self, owner)
+        reservation.check_share(QueueUsage(requests=1))
+        return reservation
 
     def check_draining(self) -> None:
-        """Raise a problem, 503, while the service shuts down."""
+        """Raise a `ProblemError`, 503, if the service shuts down."""
         if self.draining:
             detail = "The service is shutting down; another one may take the request."
             raise ProblemError(503, "draining", detail, retry_after=5)
 
-    def full(self, patches: int) -> ProblemError:
-        """Return the refusal of a request of ``patches``, with the time until there is room."""
-        now = self.totals
+    def queue_full(self, patches: int) -> ProblemError:
+        """Return the refusal of a request of ``patches``, with the time until it would fit."""
+        now = self.usage
         excess = now.patches + patches - self.max_patches
-        # Where requests or bytes are short and not patches, one request must end first.
-        wait = self.rate.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
+        # If requests or bytes are exhausted and not patches, one request must end first.
+        wait = self.throughput.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
         detail = "The queue is full; try again after the time in Retry-After."
         fields = {
             "queued_patches": now.patches,
@@ -115,23 +123,28 @@ class Admission:
         }
         return ProblemError(503, "queue_full", detail, retry_after=_bounded(wait), fields=fields)
 
-    def free(self) -> Totals:
-        """Return what is not taken up; never less than 0."""
-        return Totals(
-            max(0, self.max_patches - self.totals.patches),
-            max(0, self.max_bytes - self.totals.bytes),
-            max(0, self.max_requests - self.totals.requests),
+    def free(self) -> QueueUsage:
+        """Return the unused part of the queue, each number >= 0."""
+        return QueueUsage(
+            max(0, self.max_patches - self.usage.patches),
+            max(0, self.max_bytes - self.usage.bytes),
+            max(0, self.max_requests - self.usage.requests),
         )
 
 
-class Hold:
-    """What one request takes up, given back on leaving the ``with`` block."""
+class Reservation:
+    """Part of the queue that one request uses, returned at the end of the ``with`` block.
+
+    Attributes:
+        usage: patches, bytes and requests (0 or 1) of this request.
+        large: it has at least `LARGE_PATCHES` patches.
+    """
 
     def __init__(self, admission: Admission, owner: str) -> None:
         self._admission = admission
         self._owner = owner
-        self._over = False
-        self.mine = Totals()
+        self._closed = False
+        self.usage = QueueUsage()
         self.large = False
 
     def __enter__(self) -> Self:
@@ -143,64 +156,62 @@ class Hold:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._over = True
-        admission, was_in = self._admission, self.mine.requests
-        self._take(Totals(-self.mine.patches, -self.mine.bytes, -self.mine.requests))
-        admission.entered.pop(self, None)
-        if admission.owners.get(self._owner) == Totals():
-            del admission.owners[self._owner]
-        if was_in and admission.requests == 0:
-            admission.rate.stop()
+        self._closed = True
+        admission, was_admitted = self._admission, self.usage.requests
+        self._add(QueueUsage(-self.usage.patches, -self.usage.bytes, -self.usage.requests))
+        admission.admitted.pop(self, None)
+        if admission.usage_by_owner.get(self._owner) == QueueUsage():
+            del admission.usage_by_owner[self._owner]
+        if was_admitted and admission.requests == 0:
+            admission.throughput.stop()
 
-    def grow(self, size: int) -> None:
-        """Account for ``size`` further bytes of the body.
+    def add_bytes(self, size: int) -> None:
+        """Reserve ``size`` further bytes of the body.
 
         Raises:
-            ProblemError: 503 where all requests together hold too many, 429 where the owner does.
+            ProblemError: 503 if all bodies together are too large, 429 if those of the owner are.
         """
-        total = self._admission.totals
-        others = total.bytes - self.mine.bytes
+        total = self._admission.usage
+        others = total.bytes - self.usage.bytes
         if others and total.bytes + size > self._admission.max_bytes:
-            raise self._admission.full(1)
-        self.check_share(Totals(bytes=size))
-        self._take(Totals(bytes=size))
+            raise self._admission.queue_full(1)
+        self.check_share(QueueUsage(bytes=size))
+        self._add(QueueUsage(bytes=size))
 
-    def enter(self, patches: int) -> None:
-        """Join the queue with an estimate of the patches (>= 1).
+    def admit(self, patches: int) -> None:
+        """Enter the queue with an estimated number of patches, >= 1.
 
         Raises:
-            ProblemError: 503 where there is no room, 429 where there is and the owner has its share.
+            ProblemError: 503 if the queue is full, 429 if the owner has its share.
         """
-        admission, total = self._admission, self._admission.totals
+        admission, total = self._admission, self._admission.usage
         admission.check_draining()
-        crowded = total.requests and total.patches + patches > admission.max_patches
-        if crowded or total.requests >= admission.max_requests:
-            raise admission.full(patches)
-        self.check_share(Totals(patches=patches, requests=1))
+        too_large = total.requests and total.patches + patches > admission.max_patches
+        if too_large or total.requests >= admission.max_requests:
+            raise admission.queue_full(patches)
+        self.check_share(QueueUsage(patches=patches, requests=1))
         if total.requests == 0:
-            admission.rate.start()
-        admission.entered[self] = None
+            admission.throughput.start()
+        admission.admitted[self] = None
         self.large = patches >= LARGE_PATCHES
-        self._take(Totals(patches=patches, requests=1))
+        self._add(QueueUsage(patches=patches, requests=1))
 
-    def resize(self, patches: int) -> None:
-        """Replace the estimate by what is known now to remain."""
-        # The engine's thread may have counted them just before it learned of the end.
-        if self._over:
+    def set_patches(self, patches: int) -> None:
+        """Replace the estimate by the counted number of patches that remain."""
+        # The engine's thread may send a count just before it learns of the end.
+        if self._closed:
             return
-        self._take(Totals(patches=patches - self.mine.patches))
+        self._add(QueueUsage(patches=patches - self.usage.patches))
         self.large = patches >= LARGE_PATCHES
 
     def finish(self, patches: int) -> None:
-        """Count ``patches`` as done."""
-        if not self._over:
-            self._take(Totals(patches=-min(patches, self.mine.patches)))
-        self._admission.rate.add(patches)
+        """Count ``patches`` as finished."""
+        if not self._closed:
+            self._add(QueueUsage(patches=-min(patches, self.usage.patches)))
+        self._admission.throughput.add(patches)
 
-    def check_share(self, more: Totals) -> None:
-        """Refuse what would give the owner more than is left for everybody else.
-
-        An owner's only request is never its own obstacle, however large.
+    def check_share(self, more: QueueUsage) -> None:
+        """Refuse an addition that would exceed the owner's share; see `fair_share`.
 
         Raises:
             ProblemError: 429.
@@ -208,75 +219,79 @@ class Hold:
         if not self._owner:
             return
         free = self._admission.free()
-        held = self._admission.owners.get(self._owner, Totals())
+        held = self._admission.usage_by_owner.get(self._owner, QueueUsage())
         for unit in ("patches", "bytes", "requests"):
             check_share(
                 unit,
                 "the queue",
                 held=getattr(held, unit),
-                elsewhere=getattr(held, unit) - getattr(self.mine, unit),
+                held_elsewhere=getattr(held, unit) - getattr(self.usage, unit),
                 wanted=getattr(more, unit),
                 free=getattr(free, unit),
-                wait=functools.partial(self._until_returned, unit),
+                retry_after=functools.partial(self._until_returned, unit),
             )
 
-    def check_deadline(self, left: float, workers: int, *, sized: bool) -> None:
-        """Refuse at once what cannot be done in time.
+    def check_deadline(self, remaining: float, workers: int, *, counted: bool) -> None:
+        """Refuse a request at once if it cannot be finished in time.
 
-        Small requests wait for those that came first and have no more to do. Large ones wait for
-        large ones that came first, but as many as there are workers are begun, and all but one of
-        them may end after this one.
-        All times are lower bounds, the network's part alone: to refuse what might have been
-        served is worse than to give up late.
+        A small request waits for small requests that came earlier and have no more patches. A large
+        one waits for large ones that came earlier; as many of them as there are workers run side
+        by side, and all but one of these may end after this one.
+
+        All times are lower bounds that count the network alone: refusing a request that would
+        have been served is worse than a late 504.
 
         Args:
-            left: seconds until the client stops waiting.
-            workers: how many share the work.
-            sized: whether the patches are counted; an estimate counts only those of others.
+            remaining: seconds until the deadline.
+            workers: number of workers.
+            counted: the number of patches is counted; if it is an estimate, only the patches of
+                other requests are used.
 
         Raises:
-            ProblemError: 503 where the queue is the cause, 504 where the cloud itself takes longer.
+            ProblemError: 503 because of the queue, 504 because of the size of the cloud itself.
         """
-        mine = self.mine.patches
-        earlier = itertools.takewhile(lambda other: other is not self, self._admission.entered)
-        alike = sorted(other.mine.patches for other in earlier if other.large is self.large)
+        patches = self.usage.patches
+        earlier = itertools.takewhile(lambda other: other is not self, self._admission.admitted)
+        same_class = sorted(other.usage.patches for other in earlier if other.large is self.large)
         if self.large:
-            ahead = sum(alike[: max(0, len(alike) - workers + 1)])
+            ahead = sum(same_class[: max(0, len(same_class) - workers + 1)])
         else:
-            ahead = sum(patches for patches in alike if patches <= mine)
-        alone = self._admission.pace.least_seconds(mine, workers) if sized else 0.0
-        before = self._admission.pace.least_seconds(ahead, workers)
-        if alone > left:
+            ahead = sum(other for other in same_class if other <= patches)
+        cost = self._admission.patch_cost
+        own_time = cost.lower_bound_s(patches, workers) if counted else 0.0
+        queue_time = cost.lower_bound_s(ahead, workers)
+        if own_time > remaining:
             detail = (
-                f"This cloud takes {alone:.0f} s at the very least, and there are {left:.0f} s "
-                "left. Ask for a longer wait, or for no limit."
+                f"This cloud takes at least {own_time:.0f} s, and {remaining:.0f} s are left. "
+                "Ask for a longer wait, or for no limit."
             )
-            fields = {"patches": mine, "seconds_left": round(left, 1)}
+            fields = {"patches": patches, "seconds_left": round(remaining, 1)}
             raise ProblemError(504, "deadline_too_short", detail, retryable=False, fields=fields)
-        if before + alone > left:
+        if queue_time + own_time > remaining:
             detail = (
-                f"Requests that come first take {before:.0f} s at the very least, and there are "
-                f"{left:.0f} s left."
+                f"Earlier requests take at least {queue_time:.0f} s, and {remaining:.0f} s are "
+                "left. Try again after the time in Retry-After."
             )
-            fields = {"patches_ahead": ahead, "seconds_left": round(left, 1)}
-            wait = _bounded(before + alone - left)
+            fields = {"patches_ahead": ahead, "seconds_left": round(remaining, 1)}
+            wait = _bounded(queue_time + own_time - remaining)
             raise ProblemError(503, "deadline_unmeetable", detail, retry_after=wait, fields=fields)
 
-    def _take(self, more: Totals) -> None:
-        for account in (self.mine, self._admission.totals, self._admission.owners[self._owner]):
-            account.patches += more.patches
-            account.bytes += more.bytes
-            account.requests += more.requests
+    def _add(self, more: QueueUsage) -> None:
+        admission = self._admission
+        for usage in (self.usage, admission.usage, admission.usage_by_owner[self._owner]):
+            usage.patches += more.patches
+            usage.bytes += more.bytes
+            usage.requests += more.requests
 
     def _until_returned(self, unit: str, amount: float) -> float:
-        """Guess the seconds until the owner has given back so much."""
+        """Estimate the seconds until the owner has returned ``amount`` units."""
         admission = self._admission
-        mine, total = admission.owners[self._owner], admission.totals
-        patches = amount if unit == "patches" else mine.patches / max(1, mine.requests)
-        # The workers are shared with the others' patches.
-        wait = admission.rate.seconds(patches * max(1, total.patches) / max(1, mine.patches))
+        own, total = admission.usage_by_owner[self._owner], admission.usage
+        patches = amount if unit == "patches" else own.patches / max(1, own.requests)
+        # The workers also work on the patches of other owners.
+        wait = admission.throughput.seconds(patches * max(1, total.patches) / max(1, own.patches))
         return _bounded(wait)
 
 
 def _bounded(seconds: float) -> float:
-    return min(_LONGEST_RETRY_S, max(1.0, seconds))
+    return min(_MAX_RETRY_S, max(1.0, seconds))

@@ -1,66 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a request must be done: the service's own limit, and how long its client waits."""
+"""Deadline of a request: the limit of the service and the waiting time of the client."""
 
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
-from pugeo_service.http.cancellation import DeadlinePassedError
-from pugeo_service.http.prefer import Preferences
+__all__ = ["Deadline", "DeadlinePassedError"]
 
-__all__ = ["Deadline"]
+
+class DeadlinePassedError(Exception):
+    """The deadline of a request has passed."""
 
 
 class Deadline:
-    """The time of one request.
+    """Deadline of one request.
 
-    The client's time runs from the head of its request, as its own clock does; the service's
-    limit bounds the work alone, so that a slow line does not eat it up.
+    The client's time starts with the head of its request, as the client's own clock does. The limit
+    of the service starts when the body has arrived, so that a slow connection does not use it up.
 
     Args:
-        wanted: what the client prefers; ``Prefer: wait=30`` without ``respond-async`` gives it 30
-            seconds, after which RFC 7240 has the server answer 504.
+        wait: seconds that the client waits for the answer (``Prefer: wait`` of RFC 7240), or
+            ``None`` for no limit.
         limit: seconds that the service allows for the work.
-        clock: seconds, from anywhere.
+        clock: monotonic time in seconds.
     """
 
     def __init__(
-        self, wanted: Preferences, limit: float, clock: Callable[[], float] = time.monotonic
+        self, wait: int | None, limit: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._clock = clock
         self._limit = limit
-        self.wait = None if wanted.respond_async else wanted.wait
-        self._leaves = float("inf") if self.wait is None else clock() + self.wait
-        self._ends = float("inf")
+        self.wait = wait
+        self._client_end = float("inf") if wait is None else clock() + wait
+        self._service_end = float("inf")
 
     @asynccontextmanager
-    async def arriving(self) -> AsyncIterator[None]:
-        """Bound the time in which the body arrives; the work's own begins at the end of it.
+    async def receiving_body(self) -> AsyncIterator[None]:
+        """Bound the time in which the body arrives; the limit of the service starts at the end.
 
         Raises:
-            DeadlinePassedError: the client stopped waiting.
+            DeadlinePassedError: the client no longer waits.
         """
         try:
-            async with asyncio.timeout(None if self.wait is None else self.left):
+            async with asyncio.timeout(None if self.wait is None else self.remaining):
                 yield
         except TimeoutError as error:
             raise DeadlinePassedError from error
-        self._ends = self._clock() + self._limit
+        self._service_end = self._clock() + self._limit
 
     @property
-    def left(self) -> float:
-        """Seconds until the client stops waiting or the service gives up; 0 at least."""
-        return max(0.0, min(self._leaves, self._ends) - self._clock())
-
-    @property
-    def shown(self) -> str:
-        """Whose limit it is, and which, for a sentence."""
-        if self._leaves < self._ends:
-            return f"{self.wait:g} s, which Prefer: wait asked for"
-        return f"{self._limit:g} s, the limit of this service"
+    def remaining(self) -> float:
+        """Seconds until the earlier of both ends, >= 0."""
+        return max(0.0, min(self._client_end, self._service_end) - self._clock())
 
     @property
     def seconds(self) -> float:
-        """The limit that counts."""
-        return float(self.wait) if self.wait and self._leaves < self._ends else self._limit
+        """Length of the limit that ends first, in seconds."""
+        if self.wait is None or self._service_end <= self._client_end:
+            return self._limit
+        return float(self.wait)
+
+    @property
+    def description(self) -> str:
+        """The limit that ends first, for an error text."""
+        if self._client_end < self._service_end:
+            return f"{self.wait:g} s, which Prefer: wait asked for"
+        return f"{self._limit:g} s, the limit of this service"

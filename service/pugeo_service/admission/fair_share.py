@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one owner may hold of what all share: as much as is still free.
+"""Fair shares of a bounded resource: an owner may hold as much as is still free.
 
-An owner is the name of an API key. One alone comes to half of the whole, two to a third each, n
-to a part in n + 1: whoever comes next always finds room, and no share has to be configured.
-Switches share their buffers by the same rule (dynamic thresholds).
+An owner is the name of an API key. A single owner reaches half of the resource, two reach a third
+each, n reach 1 / (n + 1) each. A newcomer therefore always finds room, and no share needs to be
+configured. The rule is that of dynamic buffer thresholds in network switches (Choudhury and Hahne,
+IEEE/ACM Transactions on Networking 6(2), 1998).
 """
 
 from collections.abc import Callable
@@ -15,36 +16,36 @@ __all__ = ["check_share"]
 
 def check_share(
     unit: str,
-    pool: str,
+    resource: str,
     *,
     held: int,
-    elsewhere: int,
+    held_elsewhere: int,
     wanted: int,
     free: int,
-    wait: Callable[[float], float],
+    retry_after: Callable[[float], float],
 ) -> None:
-    """Refuse what would give an owner more than is left for everybody else.
+    """Refuse a request that would give an owner more than is left for all other owners.
 
-    An owner that holds nothing else is not refused, however much it asks for.
+    An owner that holds nothing else is never refused, however much it asks for.
 
     Args:
-        unit: what is counted, in the plural, as ``"bytes"``.
-        pool: what it is a part of, for a person.
+        unit: counted unit in the plural, such as ``"bytes"``.
+        resource: name of the resource, for the error text.
         held: units that the owner holds.
-        elsewhere: those of them that it does not hold by the very thing that asks for more.
-        wanted: units more; 0 is never refused.
-        free: units that nobody holds.
-        wait: returns seconds until the owner has given so many units back.
+        held_elsewhere: units that the owner holds through its other requests.
+        wanted: further units; 0 is never refused.
+        free: units that no owner holds.
+        retry_after: estimates the seconds until the owner has returned a number of units.
 
     Raises:
         ProblemError: 429.
     """
-    if not wanted or not elsewhere or held + wanted <= free:
+    if not wanted or not held_elsewhere or held + wanted <= free:
         return
-    # What is given back is both no longer held and free: half of the gap is enough.
-    seconds = wait((held + wanted - free) / 2)
+    # A returned unit lowers ``held`` and raises ``free``, so half of the gap is enough.
+    seconds = retry_after((held + wanted - free) / 2)
     detail = (
-        f"This API key holds {held:,} {unit} of {pool} and asks for {wanted:,} more, but "
+        f"This API key holds {held:,} {unit} of {resource} and asks for {wanted:,} more, but "
         f"{free:,} are free and it may hold no more than that. Try again after the time in "
         "Retry-After."
     )

@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the service works: what every promise about time rests on."""
+"""Measured speed of the service, from which waiting times are estimated."""
 
 import time
 from collections.abc import Callable
 
-__all__ = ["DrainRate", "Pace"]
+__all__ = ["PatchCost", "Throughput"]
 
 _HALF_LIFE_S = 20.0
-# Nothing measured yet: a patch takes some tens of milliseconds on one processor.
-_UNMEASURED = 20.0
+# Before the first measurement: a patch takes about 50 ms on one processor.
+_INITIAL_PATCHES_PER_S = 20.0
 _HALF_LIFE_PATCHES = 64.0
 
 
-class DrainRate:
-    """Patches finished per second of work, as a moving average that forgets by half in 20 s.
+class Throughput:
+    """Patches finished per second, as an exponential moving average with a half-life of 20 s.
 
-    Idle time does not count: an idle service is not a slow one.
+    Only time with work in the queue counts, so an idle service is not measured as slow.
+
+    Args:
+        clock: monotonic time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -25,11 +28,11 @@ class DrainRate:
         self._since: float | None = None
 
     def start(self) -> None:
-        """Work begins after idleness."""
+        """Start the clock: the queue is no longer empty."""
         self._since = self._clock()
 
     def stop(self) -> None:
-        """The queue ran empty."""
+        """Stop the clock: the queue is empty."""
         self.add(0)
         self._since = None
 
@@ -38,25 +41,25 @@ class DrainRate:
         now = self._clock()
         elapsed = 0.0 if self._since is None else now - self._since
         self._since = now
-        kept = 0.5 ** (elapsed / _HALF_LIFE_S)
-        self._patches = self._patches * kept + patches
-        self._seconds = self._seconds * kept + elapsed
+        weight = 0.5 ** (elapsed / _HALF_LIFE_S)
+        self._patches = self._patches * weight + patches
+        self._seconds = self._seconds * weight + elapsed
 
     @property
     def per_second(self) -> float | None:
-        """Patches per second, or ``None`` before anything was measured."""
+        """Patches per second; ``None`` before the first measurement."""
         return self._patches / self._seconds if self._patches and self._seconds else None
 
     def seconds(self, patches: float) -> float:
-        """Return how long so many patches take, all workers on them; a guess at first."""
-        return patches / (self.per_second or _UNMEASURED)
+        """Estimate the seconds that all workers together need for a number of patches."""
+        return patches / (self.per_second or _INITIAL_PATCHES_PER_S)
 
 
-class Pace:
-    """Seconds of the network on a patch, as a moving average that forgets by half in 64 patches.
+class PatchCost:
+    """Seconds of the network per patch, as a moving average with a half-life of 64 patches.
 
-    What the drain rate cannot tell: few small requests drain slowly because they do not fill the
-    workers. The pace bounds from below how long anything can take.
+    Throughput underestimates the speed while small requests leave workers idle. The cost of a
+    patch gives a lower bound of the time instead.
     """
 
     def __init__(self) -> None:
@@ -64,13 +67,13 @@ class Pace:
         self._seconds = 0.0
 
     def add(self, seconds: float, patches: int) -> None:
-        """Count a batch that was run."""
-        kept = 0.5 ** (patches / _HALF_LIFE_PATCHES)
-        self._patches = self._patches * kept + patches
-        self._seconds = self._seconds * kept + seconds
+        """Count a batch of patches that took ``seconds``."""
+        weight = 0.5 ** (patches / _HALF_LIFE_PATCHES)
+        self._patches = self._patches * weight + patches
+        self._seconds = self._seconds * weight + seconds
 
-    def least_seconds(self, patches: int, workers: int) -> float:
-        """Return the time that all workers together need at least; 0 before anything was run."""
+    def lower_bound_s(self, patches: int, workers: int) -> float:
+        """Return the fewest seconds that ``workers`` need; 0 before the first measurement."""
         if not self._patches:
             return 0.0
         return patches * self._seconds / self._patches / max(1, workers)

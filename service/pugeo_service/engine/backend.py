@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of whatever runs the engine's tasks."""
+"""Interface of backends, which run the tasks of the engine."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol, TypeVar
@@ -39,7 +39,7 @@ class Backend(Protocol):
     """Runs stages on workers. All methods are called in the engine's own event loop."""
 
     async def start(self) -> None:
-        """Start the workers, or connect to workers elsewhere; return once one is warm."""
+        """Start the workers, or connect to external workers; return once one is warm."""
 
     async def stop(self) -> None:
         """Stop everything that was started."""

@@ -75,7 +75,7 @@ class BoundedMap:
         Args:
             window: number of parts queued at ``priority`` at a time.
             priority: of parts without a turn.
-            guard: where other requests go first; ``None`` where nobody is overtaken.
+            guard: needed if other requests have priority; otherwise ``None``.
         """
         guarding = asyncio.create_task(self._take_turns(guard)) if guard else None
         if guarding is not None:

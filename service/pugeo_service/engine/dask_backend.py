@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worker processes through Dask: started here, or elsewhere behind a scheduler."""
+"""Backend of Dask worker processes: local ones, or an external cluster.
+
+It uses private names of distributed: pyproject.toml bounds the version, and
+tests/service/test_private_names.py checks that each name exists.
+"""
 
 import asyncio
 import contextlib
@@ -275,7 +279,7 @@ class DaskBackend:
             self._replace_nannies()
 
     def _replace_nannies(self) -> None:
-        """Start a nanny process again where it gave up, for example because memory was short."""
+        """Replace nanny processes that gave up, for example because of too little memory."""
         nannies = self._cluster.workers
         gone = [name for name, nanny in nannies.items() if nanny.status in _GONE]
         for name in gone:

@@ -23,13 +23,13 @@ T = TypeVar("T")
 D = TypeVar("D")
 
 WorkerOf = Callable[[], str | None]
-"""Returns the worker that holds a tile, where no other worker should run its tasks."""
+"""Returns the worker that holds a tile if no other worker should run its tasks, else ``None``."""
 
 # Seconds without progress after which a cloud that others overtake takes a turn.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# Patches of one task: one where they are carried to other workers; where they stay, three take
-# 0.2 s, which is what a small cloud may have to wait.
+# Patches of one task: one if they are sent to other workers. If they stay, three: they take 0.2 s,
+# which is the longest time that a small cloud then waits.
 _CARRIED_PATCHES = 1
 _PATCHES_IN_PLACE = 3
 
@@ -81,7 +81,7 @@ class Dispatch:
     def cancel(self) -> None:
         """Drop all results, and all tasks that have not begun."""
         self._backend.cancel(self._handles)
-        # Some parts may have nobody who waits for them yet.
+        # Some parts may not be awaited yet.
         for handle in list(self._placed):
             self._unplace(handle)
 
@@ -108,7 +108,7 @@ class Dispatch:
             args: of the stage.
             describe: quick stage that describes the result.
             describe_args: arguments of ``describe`` after the result.
-            worker: to run it; where most of ``args`` are if ``None``.
+            worker: worker to run it; ``None`` for the one that holds most of ``args``.
 
         Returns:
             The handle of the result, and the description.

@@ -42,7 +42,7 @@ class Status:
 
     Attributes:
         workers: warm workers; 0 before the self test succeeded.
-        expected: workers that are configured, or ``None`` where they run elsewhere.
+        expected: configured number of workers, or ``None`` for an external cluster.
         lost: workers that ended unexpectedly; one that comes and goes between two polls is missed.
         retried: patches run again because a worker was lost.
     """

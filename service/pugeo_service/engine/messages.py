@@ -34,13 +34,13 @@ class RunRequest:
 
     Attributes:
         model: name or path of the weights.
-        format: the input's format, or ``None`` where the content decides.
+        format: format of the input, or ``None`` if the content decides.
         answer: format of the answer.
         options: keyword arguments of the model's ``Options``.
         max_points: bound on the points of the input.
         max_output_points: bound on the points of the answer.
         deadline_s: seconds the whole may take.
-        background: nobody waits on a connection, so requests go first.
+        background: no client waits on a connection, so other requests have priority.
         one_task_patches: a cloud of at most so many patches is upsampled in one task.
     """
 
@@ -88,7 +88,7 @@ class PreparedInfo:
         tiles: number of tiles; most clouds are one.
         seconds: of each stage so far.
         by_rows: whether the answer can be written tile by tile.
-        output: of the answer, where the cloud was upsampled already.
+        output: description of the answer if the cloud was upsampled already.
         noisy: whether the tile needs denoising.
     """
 
@@ -135,7 +135,7 @@ class RunResult:
 
 
 class BodyReader(Protocol):
-    """Bytes of a body that the engine reads when a run begins, and again where it is repeated.
+    """Bytes of a body that the engine reads when a run begins, and again if it is repeated.
 
     Attributes:
         size: number of bytes.

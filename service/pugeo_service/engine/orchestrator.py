@@ -3,7 +3,7 @@
 
 There are three ways to the bytes, each for its measured gain (two workers, see
 docs/performance.md): a small cloud is upsampled in the task that reads it; tiles of a large one are
-written where they are, if the format's rows follow each other; all else is assembled on a worker.
+written on their workers if the format consists of rows; other answers are assembled on one worker.
 """
 
 import asyncio
@@ -204,7 +204,7 @@ class Orchestrator:
     async def _write_by_rows(
         self, cloud: Handle[Prepared], tiles: list[Handle[DenseTile]], answer: Collector
     ) -> dict[str, Any]:
-        """Write the tiles one by one, each where it is, and bring them here in order."""
+        """Write each tile on its worker, and collect the bytes here in order."""
         self._progress.on_stage("finish")
         borders = [self._tasks.submit(output_stages.border, tile) for tile in tiles]
         agreements, agreed = await self._tasks.step(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The last stages of a request on the workers: from dense tiles to the bytes of the answer.
 
-Formats whose rows follow each other are written tile by tile, each where it is, so that no process
-holds the bytes of a large answer. The others are assembled on one worker.
+Formats made of rows are written tile by tile on the worker of each tile, so that no process holds
+the bytes of a large answer. The others are assembled on one worker.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def describe_output(output: Output, file: SharedFile | None) -> OutputInfo:
 
     Args:
         output: the bytes.
-        file: of the front, for the beginning; ``None`` where other bytes come before it.
+        file: file of the front for the first bytes; ``None`` if other bytes precede them.
     """
     first = b"" if file is None else read_chunk(output, 0, file, 0)
     return OutputInfo(len(output.data), first, output.report, output.seconds, output.batches)
@@ -148,8 +148,8 @@ def read_chunk(source: Output | Prepared, start: int, file: SharedFile, offset: 
         offset: bytes of the answer that the file has already.
 
     Returns:
-        The number of bytes that were put into the file, or the bytes themselves where they are
-        few or the file is on another machine.
+        The number of bytes that were written to the file, or the bytes themselves if they are few
+        or the file is on another machine.
     """
     output = source.output if isinstance(source, Prepared) else source
     assert output is not None

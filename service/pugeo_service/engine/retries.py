@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often Dask ran a task again because a worker, or its result on one, was lost.
+"""Count of tasks that Dask repeated after the loss of a worker or of a result.
 
-Dask repeats such tasks by itself and tells nobody; only the scheduler sees it.
+Dask repeats such tasks without a report; only the scheduler sees it.
 """
 
 from typing import Any
@@ -14,10 +14,10 @@ TOPIC = "pugeo-retries"
 
 
 class ReportRetries(SchedulerPlugin):
-    """Tells, on ``TOPIC``, the key of each task that begins once more; runs in the scheduler."""
+    """Reports the key of each repeated task on ``TOPIC``; runs in the scheduler."""
 
     name = TOPIC
-    # Several fronts may share a scheduler; the first one brings the plugin for all.
+    # Several fronts may share a scheduler; the first one registers the plugin for all.
     idempotent = True
 
     def __init__(self) -> None:
@@ -25,11 +25,11 @@ class ReportRetries(SchedulerPlugin):
         self._scheduler: Any = None
 
     async def start(self, scheduler: Any) -> None:
-        """Learn whom to tell."""
+        """Keep the scheduler, which sends the events."""
         self._scheduler = scheduler
 
     def transition(self, key: Any, start: str, finish: str, *_: Any, **__: Any) -> None:
-        """See a task change its state; work stealing moves a task without such a change."""
+        """Handle a change of state of a task; work stealing causes none."""
         del start
         if finish == "forgotten":
             self._begun.discard(key)

@@ -119,7 +119,7 @@ class SchedulingPolicy:
         Args:
             arrived: time of the request, in seconds of any clock.
             patches: of its cloud.
-            background: nobody waits on a connection.
+            background: no client waits on a connection.
         """
         large = patches >= LARGE_PATCHES
         return -_CLASS_S * (large + 2 * background) - (arrived + _PENALTY_S * patches)

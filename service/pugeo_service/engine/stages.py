@@ -63,7 +63,7 @@ def load_model(name: str) -> Model:
 def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
     """Read the bytes of a body, uint8 ``(size,)``, and plan the run.
 
-    A cloud in one piece is prepared as well, and upsampled where it is small enough for one task.
+    A cloud of one tile is also prepared, and upsampled if it is small enough for one task.
 
     Raises:
         CloudError: the input or an option cannot be used.
@@ -172,7 +172,7 @@ def denoise(prepared: Prepared, batches: Sequence[PredictedBatch], model: str) -
         model: name of the weights.
 
     Returns:
-        The tile, prepared; ``None`` where its points hardly move.
+        The prepared tile; ``None`` if its points hardly move.
     """
     from pugeo_model import local_stages
 

@@ -55,10 +55,10 @@ class Prepared:
 
     Attributes:
         plan: tiles of the cloud; ``None`` of a tile.
-        tile: the tile, or the cloud where it is in one piece; ``None`` of a cloud in tiles.
+        tile: the tile, or the cloud if it has one tile; ``None`` for several tiles.
         seconds: of each stage so far.
         by_rows: whether the answer can be written tile by tile.
-        output: the answer, where the cloud was small enough for one task.
+        output: the answer if the cloud was small enough for one task.
     """
 
     plan: Plan | None

@@ -36,8 +36,8 @@ class TileHandle:
 
     Attributes:
         number: of the tile, from 0.
-        prepared: the tile where it is prepared already: the only one of a cloud is as the cloud is
-            read, and a denoised one in the task that moves its points.
+        prepared: the tile if it is prepared already. The only tile of a cloud is prepared when the
+            cloud is read, a denoised tile in the task that moves its points.
     """
 
     number: int
@@ -108,7 +108,7 @@ class WorkerStages:
     async def denoise(
         self, prepared: PreparedHandle, charts: list[Handle[PredictedBatch]]
     ) -> TileHandle | None:
-        """Move the points onto their charts; ``None`` where they hardly move."""
+        """Move the points onto their charts; ``None`` if they hardly move."""
         handle, info = await self._tasks.step(
             self._patches,
             stages.denoise,

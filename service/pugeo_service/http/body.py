@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The body of a request, taken in as it arrives and never trusted."""
+"""Reception of a request body under limits that hold while the bytes arrive."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -9,19 +9,20 @@ from typing import Generic, TypeVar
 from starlette.requests import Request
 
 from pugeo_model.formats import FORMATS
-from pugeo_service.admission.admission import Hold
+from pugeo_service.admission.admission import Reservation
 from pugeo_service.http.multipart import FilePart
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
+from pugeo_service.storage.buffered_writer import BufferedWriter
 from pugeo_service.storage.problems import storage_problems
-from pugeo_service.storage.spool import Sink, Spool
+from pugeo_service.storage.spool import Spool
 
 __all__ = ["ACCEPTED", "Body", "ClientDisconnectedError", "receive_body", "receive_into"]
 
-S = TypeVar("S", bound=Sink)
+WriterT = TypeVar("WriterT", bound=BufferedWriter)
 
-# Types that promise nothing, so that the content decides. The form type is what
-# `curl --data-binary @scan.ply` says when nobody tells it otherwise.
+# Unspecific types: the content decides. `curl --data-binary @scan.ply` sends the form type unless
+# told otherwise.
 _UNSPECIFIC = (
     "",
     "application/octet-stream",
@@ -38,70 +39,74 @@ _MULTIPART = "multipart/form-data"
 
 
 class ClientDisconnectedError(Exception):
-    """The client closed the connection; there is nobody to answer."""
+    """The client closed the connection before it had an answer."""
 
 
 @dataclass(frozen=True)
-class Body(Generic[S]):
-    """A body that arrived whole.
+class Body(Generic[WriterT]):
+    """A body that arrived completely.
 
     Attributes:
-        spool: its bytes; whoever holds the body closes it.
-        format: the model's name of the format, or ``None`` where the content decides.
+        spool: its bytes; the holder of the body closes it.
+        format: the model's name of the format, or ``None`` if the content decides.
     """
 
-    spool: S
+    spool: WriterT
     format: str | None
 
 
-async def receive_body(request: Request, settings: Settings, hold: Hold) -> Body[Spool]:
-    """Take a request's body in for as long as the request lasts; see `receive_into`."""
+async def receive_body(
+    request: Request, settings: Settings, reservation: Reservation
+) -> Body[Spool]:
+    """Receive the body of a request into a temporary spool; see `receive_into`."""
     with storage_problems():
         spool = Spool(settings.spool_dir)
-    return await receive_into(spool, request, settings, hold)
+    return await receive_into(spool, request, settings, reservation)
 
 
-async def receive_into(sink: S, request: Request, settings: Settings, hold: Hold) -> Body[S]:
-    """Take a request's body in, raw or as the multipart part ``file``.
+async def receive_into(
+    writer: WriterT, request: Request, settings: Settings, reservation: Reservation
+) -> Body[WriterT]:
+    """Receive the body of a request, raw or as the multipart part ``file``.
 
     Args:
-        sink: takes the bytes; it is closed if anything goes wrong.
-        request: a request whose body nobody has read.
-        settings: the limit of bytes.
-        hold: grows with each byte, and so bounds what all requests hold together.
+        writer: receives the bytes; it is closed after an error.
+        request: a request whose body was not read yet.
+        settings: limits of size and idle time.
+        reservation: grows with each byte, which bounds the bytes of all requests together.
 
     Raises:
-        ProblemError: 400 empty or malformed, 408 too slow, 413 too large, 415 another content,
-            503 where the disk is full or fails.
+        ProblemError: 400 empty or malformed, 408 too slow, 413 too large, 415 not a point cloud,
+            503 if the disk is full or fails.
         ClientDisconnectedError: the connection was closed.
     """
     try:
         part, kind = _declared(request)
-        arriving = _arriving(request, settings, hold)
-        async for data in arriving if part is None else part.data(arriving):
+        chunks = _chunks(request, settings, reservation)
+        async for data in chunks if part is None else part.data(chunks):
             with storage_problems():
-                await sink.write(data)
-        _check_filled(sink)
+                await writer.write(data)
+        _check_not_empty(writer)
     except BaseException:
-        sink.close()
+        writer.close()
         raise
     if part is not None:
-        # Browsers and libraries guess the type of a part, so an unknown one decides nothing.
+        # Browsers and libraries guess the type of a part, so an unknown one is ignored.
         kind = part.content_type.partition(";")[0].strip().lower()
-    return Body(sink, ACCEPTED.get(kind))
+    return Body(writer, ACCEPTED.get(kind))
 
 
-def _check_filled(sink: Sink) -> None:
-    if sink.size == 0:
+def _check_not_empty(writer: BufferedWriter) -> None:
+    if writer.size == 0:
         detail = "The body is empty; send a point cloud as PLY, NPY, NPZ, JSON or text."
         raise ProblemError(400, "empty_body", detail)
 
 
 def _declared(request: Request) -> tuple[FilePart | None, str]:
-    """Return what finds the file in the body, if it is a form, and the type it claims to have."""
+    """Return the parser of the file part if the body is a form, and the declared media type."""
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding not in ("", "identity"):
-        detail = f"Content-Encoding {encoding[:40]!r} is not understood; send plain bytes."
+        detail = f"Content-Encoding {encoding[:40]!r} is not supported; send plain bytes."
         raise ProblemError(
             415, "unsupported_encoding", detail, headers={"Accept-Encoding": "identity"}
         )
@@ -114,7 +119,9 @@ def _declared(request: Request) -> tuple[FilePart | None, str]:
     return FilePart(declared) if kind == _MULTIPART else None, kind
 
 
-async def _arriving(request: Request, settings: Settings, hold: Hold) -> AsyncIterator[bytes]:
+async def _chunks(
+    request: Request, settings: Settings, reservation: Reservation
+) -> AsyncIterator[bytes]:
     limit = settings.max_body_bytes
     announced = request.headers.get("content-length", "")
     if announced.isdecimal() and int(announced) > limit:
@@ -135,7 +142,7 @@ async def _arriving(request: Request, settings: Settings, hold: Hold) -> AsyncIt
         size += len(data)
         if size > limit:
             raise _too_large(limit, size)
-        hold.grow(len(data))
+        reservation.add_bytes(len(data))
         if data:
             yield data
         if not message.get("more_body", False):

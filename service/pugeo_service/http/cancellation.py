@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work that ends when its client leaves, its time is over, or there is no hope for it."""
+"""Cancellation of work if its client disconnects, its deadline passes, or it cannot succeed."""
 
 import asyncio
 from collections.abc import Coroutine
@@ -7,47 +7,44 @@ from typing import Any, TypeVar
 
 from starlette.requests import Request
 
+from pugeo_service.admission.deadline import DeadlinePassedError
 from pugeo_service.http.body import ClientDisconnectedError
 
-__all__ = ["DeadlinePassedError", "while_connected"]
+__all__ = ["while_connected"]
 
 T = TypeVar("T")
-
-
-class DeadlinePassedError(Exception):
-    """The time of a request is over."""
 
 
 async def while_connected(
     request: Request,
     work: Coroutine[Any, Any, T],
     seconds: float,
-    hopeless: "asyncio.Future[Any] | None" = None,
+    abort: "asyncio.Future[Any] | None" = None,
 ) -> T:
-    """Run ``work``, and cancel it when the client closes the connection or time is up.
+    """Run ``work``; cancel it if the client disconnects or the time is over.
 
     Args:
-        request: a request whose body was read whole, so that the next event is its end.
-        work: what to run.
-        seconds: how long it may take.
-        hopeless: gets an exception as soon as the work is known to be in vain.
+        request: a request whose body was read completely, so that the next event is a disconnect.
+        work: coroutine to run.
+        seconds: time limit.
+        abort: receives an exception if the work cannot succeed.
 
     Raises:
         ClientDisconnectedError: the connection was closed.
-        DeadlinePassedError: ``seconds`` are over.
-        Exception: what ``work`` raised, or what ``hopeless`` got.
+        DeadlinePassedError: the time is over.
+        Exception: raised by ``work``, or received by ``abort``.
     """
     working = asyncio.ensure_future(work)
     leaving = asyncio.ensure_future(_disconnected(request))
     ends: set[asyncio.Future[Any]] = {working, leaving}
-    if hopeless is not None:
-        ends.add(hopeless)
+    if abort is not None:
+        ends.add(abort)
     try:
         await asyncio.wait(ends, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         if working.done():
             return working.result()
-        if hopeless is not None and hopeless.done():
-            hopeless.result()
+        if abort is not None and abort.done():
+            abort.result()
         raise ClientDisconnectedError if leaving.done() else DeadlinePassedError
     finally:
         for task in ends:

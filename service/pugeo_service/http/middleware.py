@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens around every request: an id, a log line, metrics, and no naked 500.
+"""Middleware around every request: its id, a log line, metrics, and a problem for a bug.
 
-Pure ASGI on purpose. Starlette's BaseHTTPMiddleware, and with it ``@app.middleware``, hides the
-client's disconnect from the routes, and work would go on for nobody.
+It is pure ASGI because Starlette's BaseHTTPMiddleware, and with it ``@app.middleware``, hides the
+client's disconnect from the routes, so that work for departed clients would go on.
 """
 
 import re
@@ -14,8 +14,8 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from pugeo_service.http.auth import harden
 from pugeo_service.http.body import ClientDisconnectedError
+from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import internal_error
@@ -23,18 +23,18 @@ from pugeo_service.problems import internal_error
 __all__ = ["RequestContext"]
 
 _log = structlog.stdlib.get_logger("pugeo.http")
-# What a client may call its request: anything that is safe in logs, headers and file names.
+# Request ids of clients must be safe in logs, headers and file names.
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 _QUIET = frozenset({"/health", "/health/live", "/health/ready", "/metrics"})
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 
 class RequestContext:
-    """The outermost of our layers.
+    """The outermost middleware.
 
     Args:
-        app: what it surrounds.
-        telemetry: returns where to count; asked for each request.
+        app: the application.
+        telemetry: returns the metrics; called for each request.
     """
 
     def __init__(self, app: ASGIApp, telemetry: Callable[[], Telemetry]) -> None:
@@ -50,7 +50,7 @@ class RequestContext:
 
 
 class _Exchange:
-    """One request and its answer."""
+    """One request and its response."""
 
     def __init__(self, app: ASGIApp, telemetry: Telemetry, scope: Scope) -> None:
         self._app = app
@@ -70,7 +70,7 @@ class _Exchange:
                 self._status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = self._id
-                harden(headers)
+                add_security_headers(headers)
             elif message["type"] == "http.response.body":
                 self._sent += len(message.get("body", b""))
             await send(message)
@@ -87,12 +87,12 @@ class _Exchange:
                 self._status = 499
             except Exception as error:
                 if self._status and isinstance(error, OSError):
-                    # Most likely the client, which hung up in the middle.
+                    # Most likely the client closed the connection during the response.
                     self._status = 499
                     return
                 _log.exception("unexpected error")
                 if self._status:
-                    # Too late for a problem: only a broken connection tells the client.
+                    # The response has begun, so only a broken connection can report the error.
                     raise
                 await internal_error(scope)(scope, receive, observed)
             finally:
@@ -100,7 +100,7 @@ class _Exchange:
 
     def _count(self, seconds: float) -> None:
         scope, telemetry = self._scope, self._telemetry
-        # The template and never the path, else every 404 would add a time series.
+        # The template of the path, because every unknown path would add a time series.
         route = getattr(scope.get("route"), "path", "unmatched")
         method = scope["method"] if scope["method"] in _METHODS else "OTHER"
         telemetry.requests.labels(method, route, str(self._status or 499)).inc()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part ``file`` of a multipart body, as a stream."""
+"""Streaming parser of the part ``file`` of a multipart body."""
 
 from collections.abc import AsyncIterator
 
@@ -15,19 +15,19 @@ _NAME = "file"
 
 
 class FilePart:
-    """Finds the one part named ``file`` in a multipart body.
+    """Extracts the only part, ``file``, of a multipart body.
 
-    Starlette's own form parser would do, but it spools to the system's folder for temporary
-    files, keeps parts that nobody asked for, and takes a body that ends in the middle.
+    Starlette's form parser spools to the system's folder for temporary files, accepts further
+    parts, and accepts a truncated body.
 
     Args:
-        content_type: the request's ``Content-Type`` with its boundary.
+        content_type: ``Content-Type`` of the request, with the boundary.
 
     Attributes:
-        content_type: the part's own ``Content-Type`` once its headers are read, or ``""``.
+        content_type: ``Content-Type`` of the part once its headers are read, or ``""``.
 
     Raises:
-        ProblemError: 400 for a boundary that is missing or too long.
+        ProblemError: 400, the boundary is missing or too long.
     """
 
     def __init__(self, content_type: str) -> None:
@@ -63,7 +63,7 @@ class FilePart:
         """Yield the bytes of the part ``file`` from the bytes of the whole body.
 
         Raises:
-            ProblemError: 400 for a body that is not multipart, has no such part, or other parts.
+            ProblemError: 400, the body is not multipart, has no such part, or has further parts.
         """
         try:
             async for chunk in body:
@@ -72,10 +72,10 @@ class FilePart:
                     yield piece
                 self._data.clear()
         except FormParserError as error:
-            detail = "The body is not the multipart form that its Content-Type promises."
+            detail = "The body is not multipart, but its Content-Type says so."
             raise ProblemError(400, "malformed_multipart", detail) from error
         if not self._ended:
-            raise ProblemError(400, "malformed_multipart", "The multipart body ends in the middle.")
+            raise ProblemError(400, "malformed_multipart", "The multipart body is truncated.")
         if not self._seen:
             raise ProblemError(
                 400, "missing_file", f"The multipart body has no part named {_NAME!r}."

@@ -1,22 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which format the answer has: ``?format=`` first, then ``Accept`` with its weights."""
+"""Choice of the output format: ``?format=`` first, then ``Accept`` with its weights (RFC 9110)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pugeo_model.formats import WRITABLE
 from pugeo_service.problems import ProblemError
 
-__all__ = ["DEFAULT", "OFFERS", "Offer", "choose"]
+__all__ = ["DEFAULT", "OUTPUT_FORMATS", "OutputFormat", "choose_format", "negotiate"]
 
 
 @dataclass(frozen=True)
-class Offer:
-    """A format that answers can have.
+class OutputFormat:
+    """A format of answers.
 
     Attributes:
         name: the model's name of the format, and the value of ``?format=``.
-        media_types: what an ``Accept`` header may call it; the first is the ``Content-Type``.
-        extension: file name ending without the dot.
+        media_types: names in ``Accept`` headers; the first is the ``Content-Type``.
+        extension: suffix of file names, without the dot.
     """
 
     name: str
@@ -29,61 +30,75 @@ class Offer:
         return self.media_types[0]
 
 
-def _offer(name: str) -> Offer:
+def _output_format(name: str) -> OutputFormat:
     module = WRITABLE[name]
     further: tuple[str, ...] = ()
     if name == "ply-ascii":
-        # Whoever knows PLY by its own types asks for the text form with a parameter.
+        # The media types of PLY with a parameter name the text form.
         further = tuple(f"{kind};format=ascii" for kind in WRITABLE["ply"].MEDIA_TYPES)
     extension = (*module.EXTENSIONS, ".ply")[0].removeprefix(".")
-    return Offer(name, (*module.MEDIA_TYPES, *further), extension)
+    return OutputFormat(name, (*module.MEDIA_TYPES, *further), extension)
 
 
-# Binary PLY first: it is what wildcards mean.
-OFFERS: dict[str, Offer] = {
-    name: _offer(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
+# Binary PLY is first, as the choice for wildcards.
+OUTPUT_FORMATS: dict[str, OutputFormat] = {
+    name: _output_format(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
 }
-DEFAULT = OFFERS["ply"]
-# Ranges with a wildcard and the type of unnamed bytes mean "whatever you like best".
+DEFAULT = OUTPUT_FORMATS["ply"]
+# Media ranges for which the default is chosen.
 _ANY = frozenset({"*/*", "application/*", "model/*", "application/octet-stream"})
 
 
-def choose(accept: str | None, wanted: str | None, default: Offer = DEFAULT) -> Offer:
+def negotiate(headers: Mapping[str, str], wanted: str | None) -> OutputFormat:
+    """Choose the format of an answer by the headers of its request and ``?format=``.
+
+    JSON in means JSON out unless ``Accept`` names another format.
+
+    Raises:
+        ProblemError: see `choose_format`.
+    """
+    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+    default = OUTPUT_FORMATS["json"] if kind == "application/json" else DEFAULT
+    return choose_format(headers.get("accept"), wanted, default)
+
+
+def choose_format(
+    accept: str | None, wanted: str | None, default: OutputFormat = DEFAULT
+) -> OutputFormat:
     """Choose the format of an answer.
 
     Args:
         accept: the ``Accept`` header, or ``None``.
-        wanted: the value of ``?format=``, which wins over the header because a link or a
-            browser cannot set headers.
-        default: what wildcards mean.
+        wanted: the value of ``?format=``. It has priority, because a link cannot set headers.
+        default: choice for wildcards.
 
     Raises:
-        ProblemError: 422 for an unknown ``format``, 406 where no offer suits the header.
+        ProblemError: 422 for an unknown ``format``, 406 if no format matches the header.
     """
     if wanted is not None:
-        if wanted not in OFFERS:
-            detail = f"format={wanted[:40]!r} is not one of {', '.join(OFFERS)}."
-            fields = {"parameter": "format", "value": wanted[:80], "allowed": list(OFFERS)}
+        if wanted not in OUTPUT_FORMATS:
+            detail = f"format={wanted[:40]!r} is not one of {', '.join(OUTPUT_FORMATS)}."
+            fields = {"parameter": "format", "value": wanted[:80], "allowed": list(OUTPUT_FORMATS)}
             raise ProblemError(422, "bad_option", detail, fields=fields)
-        return OFFERS[wanted]
+        return OUTPUT_FORMATS[wanted]
     if accept is None or not accept.strip():
         return default
     for media_range in _ranked(accept):
         if media_range in _ANY:
             return default
-        for offer in OFFERS.values():
-            if media_range in offer.media_types:
-                return offer
+        for output in OUTPUT_FORMATS.values():
+            if media_range in output.media_types:
+                return output
         if media_range == "text/*":
-            return OFFERS["xyz"]
-    offers = [offer.media_type for offer in OFFERS.values()]
-    detail = f"No answer suits Accept: {accept[:120]}. Offered: {', '.join(offers)}."
-    fields = {"offers": offers, "formats": list(OFFERS)}
+            return OUTPUT_FORMATS["xyz"]
+    offers = [output.media_type for output in OUTPUT_FORMATS.values()]
+    detail = f"No output format matches Accept: {accept[:120]}. Offered: {', '.join(offers)}."
+    fields = {"offers": offers, "formats": list(OUTPUT_FORMATS)}
     raise ProblemError(406, "not_acceptable", detail, headers={"Vary": "Accept"}, fields=fields)
 
 
 def _ranked(accept: str) -> list[str]:
-    """Return the media ranges of an ``Accept`` header, best first, refused ones left out."""
+    """Return the media ranges of an ``Accept`` header, best first, without those of weight 0."""
     weighted: list[tuple[float, bool, int, str]] = []
     for position, item in enumerate(accept.split(",")):
         kind, *parameters = (part.strip().lower() for part in item.split(";"))

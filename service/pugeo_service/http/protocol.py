@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A connection that ends with its client, and does not bear with one for ever.
+"""The HTTP/1.1 protocol of the service: uvicorn's, with limits on slow and departed clients.
 
-These are gaps of uvicorn's fast parser. Of several requests sent at once it forgets the one that
-it is working on, so that answering it after the client left is an error. It never hangs up on a
-client that asked for something large and leaves it lying, nor on one that goes on sending the
-body of a request that was refused.
+A client that disconnects is reported to the running request at once, and its pipelined requests are
+dropped. A client that does not read its response, or does not finish a refused body, is cut off.
 """
 
 import asyncio
@@ -13,84 +11,85 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
-from pugeo_service.http.request_limits import BoundedHeads
+from pugeo_service.http.request_limits import RequestLimits
 
-__all__ = ["Connection"]
+__all__ = ["ServerProtocol"]
 
-# Seconds in which a client must take at least something of what waits for it.
-DEAF_S = 30.0
-# Seconds in which the rest of a body is thrown away that was refused: most clients look for an
-# answer only when they have sent everything, and a reset would take it away from them.
+# Seconds in which a client must read at least a part of the buffered response.
+READ_TIMEOUT_S = 30.0
+# Seconds in which the rest of a refused body is received and discarded. Most clients read the
+# response only after they have sent the whole body; a reset would discard the response.
 LINGER_S = 30.0
 
 
-class Connection(BoundedHeads):
-    """What uvicorn makes for every client."""
+class ServerProtocol(RequestLimits):
+    """Protocol of one connection."""
 
-    _answering: RequestResponseCycle | None = None
-    _patience: asyncio.TimerHandle | None = None
-    _linger: asyncio.TimerHandle | None = None
+    _running: RequestResponseCycle | None = None
+    _read_timer: asyncio.TimerHandle | None = None
+    _linger_timer: asyncio.TimerHandle | None = None
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell whoever is at work for this client, and drop what it had asked for besides."""
-        self._stop_patience()
-        self._stop_linger()
+        """Report the disconnect to the running request; drop pipelined requests."""
+        self._cancel_read_timer()
+        self._cancel_linger_timer()
         self.pipeline.clear()
-        working = self._answering
-        if working is not None and not working.response_complete:
-            working.disconnected = True
-            working.message_event.set()
+        running = self._running
+        if running is not None and not running.response_complete:
+            running.disconnected = True
+            running.message_event.set()
         super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
-        """See that a body which nobody reads comes to an end, and so an answer."""
-        answered = self._answering
+        """Start the timers that bound the rest of the body and of the response."""
+        answered = self._running
         super().on_response_complete()
         if answered is not None and answered.more_body:
-            self._linger = self.loop.call_later(LINGER_S, self.transport.abort)
-        # What is left may be too little to count as slow; yet closing would wait for it for ever.
+            self._linger_timer = self.loop.call_later(LINGER_S, self.transport.abort)
+        # The rest may be too small for `pause_writing`; yet closing would wait for it for ever.
         left = self.transport.get_write_buffer_size()
-        if left and self._patience is None:
-            self._wait_for_reader(left)
+        if left and self._read_timer is None:
+            self._start_read_timer(left)
 
     def on_message_complete(self) -> None:
-        """It did."""
-        self._stop_linger()
+        """Cancel the linger timer: the body is complete."""
+        self._cancel_linger_timer()
         super().on_message_complete()
 
     def pause_writing(self) -> None:
-        """The client reads slower than we write: see that it reads at all."""
+        """Start the read timer: the write buffer is full."""
         super().pause_writing()
-        self._stop_patience()
-        self._wait_for_reader(self.transport.get_write_buffer_size())
+        self._cancel_read_timer()
+        self._start_read_timer(self.transport.get_write_buffer_size())
 
     def resume_writing(self) -> None:
-        """It does."""
-        self._stop_patience()
+        """Cancel the read timer: the write buffer is no longer full."""
+        self._cancel_read_timer()
         super().resume_writing()
 
     def _start_asgi_task(self, cycle: RequestResponseCycle, app: Callable[..., Any]) -> None:
-        self._answering = cycle
+        self._running = cycle
         super()._start_asgi_task(cycle, app)
 
-    def _wait_for_reader(self, waiting: int) -> None:
-        self._patience = self.loop.call_later(DEAF_S, self._look_at_reader, waiting)
+    def _start_read_timer(self, buffered: int) -> None:
+        self._read_timer = self.loop.call_later(READ_TIMEOUT_S, self._check_reader, buffered)
 
-    def _look_at_reader(self, waited: int) -> None:
-        waiting = self.transport.get_write_buffer_size()
-        self._patience = None
-        if waiting and waiting < waited:
-            self._wait_for_reader(waiting)
-        elif waiting:
-            # Closing would wait for the buffer to drain, which is what never happens.
+    def _check_reader(self, before: int) -> None:
+        """Cut the connection if none of the buffered bytes were read since the timer started."""
+        buffered = self.transport.get_write_buffer_size()
+        self._read_timer = None
+        if buffered and buffered < before:
+            self._start_read_timer(buffered)
+        elif buffered:
+            # `close` would wait until the buffer is empty.
             self.transport.abort()
 
-    def _stop_linger(self) -> None:
-        if self._linger is not None:
-            self._linger.cancel()
-            self._linger = None
+    def _cancel_linger_timer(self) -> None:
+        if self._linger_timer is not None:
+            self._linger_timer.cancel()
+            self._linger_timer = None
 
-    def _stop_patience(self) -> None:
-        if self._patience is not None:
-            self._patience.cancel()
-            self._patience = None
+    def _cancel_read_timer(self) -> None:
+        if self._read_timer is not None:
+            self._read_timer.cancel()
+            self._read_timer = None

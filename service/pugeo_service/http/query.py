@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The query of a request: every option, its range, and no others."""
+"""Query parameters of a request: all options with their ranges."""
 
 import math
 from typing import Annotated, Any, Self
@@ -35,28 +35,31 @@ class UpsampleQuery(BaseModel):
         str,
         Field(
             max_length=32,
-            description="How normals are oriented: auto, input, viewpoint, mst, outward or none.",
+            description="Orientation of normals: auto, input, viewpoint, mst, outward or none.",
         ),
     ] = "auto"
     viewpoint: Annotated[
         str | None,
         Field(
             max_length=200,
-            description="Where the scanner stood, as x,y,z in the cloud's frame.",
+            description="Position of the scanner as x,y,z in the frame of the cloud.",
             examples=["0,0,1.7"],
         ),
     ] = None
-    seed: Annotated[int, Field(ge=0, lt=2**63, description="Same seed, same points.")] = 0
+    seed: Annotated[
+        int, Field(ge=0, lt=2**63, description="The same seed gives the same points.")
+    ] = 0
     keep_input: Annotated[
         bool,
         Field(
-            description="Begin with the cleaned input points, untouched and in their order; "
-            "else noise is smoothed away, and of clean input those stay that fit an even spread."
+            description="Start the answer with the cleaned input points, unchanged and in order. "
+            "Otherwise noisy input points are replaced, and of clean ones those are kept that fit "
+            "an even spacing."
         ),
     ] = False
     format: Annotated[
         str | None,
-        Field(description="ply, ply-ascii, npz, json or xyz; wins over the Accept header."),
+        Field(description="ply, ply-ascii, npz, json or xyz; has priority over Accept."),
     ] = None
 
     @model_validator(mode="before")

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits on the head of a request, which uvicorn's fast parser has none of.
+"""Limits on the head of a request, which uvicorn's httptools parser does not have.
 
-Without them one connection could fill the memory with header lines, or hold its socket for ever
-by sending one byte a minute. What the limits refuse, and what is no HTTP at all, is a problem
-like every other error.
+Without limits one connection could fill the memory with header lines, or hold its socket by sending
+one byte a minute. Refused requests, and bytes that are not HTTP, are answered by problem documents.
+
+This is a subclass of a private class of uvicorn: pyproject.toml bounds the version of uvicorn, and
+tests/service/test_private_names.py checks that each inherited name exists.
 """
 
 import asyncio
@@ -12,116 +14,120 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from pugeo_service.http.auth import harden
+from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.problems import ProblemError
 
-__all__ = ["BoundedHeads"]
+__all__ = ["RequestLimits"]
 
-MOST_BYTES = 64 << 10
-MOST_FIELDS = 100
-LONGEST_S = 30.0
+MAX_HEAD_BYTES = 64 << 10
+MAX_HEAD_FIELDS = 100
+HEAD_TIMEOUT_S = 30.0
 
 
-class BoundedHeads(HttpToolsProtocol):
-    """HTTP/1.1 whose request heads are bounded in bytes, fields and seconds."""
+class RequestLimits(HttpToolsProtocol):
+    """HTTP/1.1 with request heads that are bounded in bytes, fields and seconds."""
 
-    _clock: asyncio.TimerHandle | None = None
+    _timer: asyncio.TimerHandle | None = None
     _refusal: ProblemError | None = None
-    # Since the last head was whole or the last piece of a body came: a head that goes on, or the
-    # fields that may follow a chunked body.
+    # Bytes since the last complete head or piece of a body: part of a head, or of the trailer
+    # fields after a chunked body.
     _bytes = 0
-    # Of this request, however its bytes came.
+    # Fields of the current request.
     _fields = 0
     _field_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a head."""
+        """Start the timer of the first head."""
         super().connection_made(transport)
-        self._start_clock()
+        self._start_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
-        self._stop_clock()
+        """Cancel the timer."""
+        self._cancel_timer()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Parse, and refuse what grows without an end."""
+        """Parse bytes; refuse a head that is too large."""
         self._bytes += len(data)
         super().data_received(data)
-        # The parser gathers a field before it tells of it, so its size shows only here.
-        if self._bytes > MOST_BYTES and not self.transport.is_closing():
-            self._refusal = _too_large(f"more than {MOST_BYTES:,} bytes")
+        # The parser reports a field once it is complete, so a single large one is seen only here.
+        if self._bytes > MAX_HEAD_BYTES and not self.transport.is_closing():
+            self._refusal = _too_large(f"more than {MAX_HEAD_BYTES:,} bytes")
             self.send_400_response("")
 
     def on_message_begin(self) -> None:
-        """Count anew."""
+        """Reset the counters and start the timer of the next head."""
         super().on_message_begin()
         self._fields = self._field_bytes = 0
-        self._start_clock()
+        self._start_timer()
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Count a field."""
+        """Count a field.
+
+        Raises:
+            ValueError: there are too many; the parser stops and calls `send_400_response`.
+        """
         self._fields += 1
         self._field_bytes += len(name) + len(value)
-        if self._fields > MOST_FIELDS:
-            self._refusal = _too_large(f"more than {MOST_FIELDS} fields")
-        elif self._field_bytes > MOST_BYTES:
-            self._refusal = _too_large(f"more than {MOST_BYTES:,} bytes")
+        if self._fields > MAX_HEAD_FIELDS:
+            self._refusal = _too_large(f"more than {MAX_HEAD_FIELDS} fields")
+        elif self._field_bytes > MAX_HEAD_BYTES:
+            self._refusal = _too_large(f"more than {MAX_HEAD_BYTES:,} bytes")
         if self._refusal is not None:
-            # Nothing else ends the parser's work in the middle of what it was given.
+            # Only an exception stops the parser within the bytes that it was given.
             raise ValueError(self._refusal.detail)
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Stop waiting, and let the application begin."""
+        """Cancel the timer and start the application."""
         self._bytes = 0
-        self._stop_clock()
+        self._cancel_timer()
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Pass a piece of a body on; its size is the application's business."""
+        """Pass a piece of a body on; the application limits its size."""
         self._bytes = 0
         super().on_body(body)
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what no application ever sees, as a problem, and hang up."""
+        """Answer a request that never reaches the application with a problem; close."""
         del msg
         cycle: RequestResponseCycle | None = self.cycle
         if cycle is None or not cycle.response_started or cycle.response_complete:
             problem = self._refusal or ProblemError(
-                400, "malformed_request", "This is no HTTP request."
+                400, "malformed_request", "The bytes are not an HTTP request."
             )
-            self.transport.write(_on_the_wire(problem))
+            self.transport.write(_encode_response(problem))
         self.transport.close()
 
-    def _start_clock(self) -> None:
-        self._stop_clock()
-        self._clock = self.loop.call_later(LONGEST_S, self._too_slow)
+    def _start_timer(self) -> None:
+        self._cancel_timer()
+        self._timer = self.loop.call_later(HEAD_TIMEOUT_S, self._on_timeout)
 
-    def _stop_clock(self) -> None:
-        if self._clock is not None:
-            self._clock.cancel()
-            self._clock = None
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
-    def _too_slow(self) -> None:
+    def _on_timeout(self) -> None:
         if self._bytes:
-            detail = f"The head of the request did not arrive within {LONGEST_S:g} s."
+            detail = f"The head of the request did not arrive within {HEAD_TIMEOUT_S:g} s."
             self._refusal = ProblemError(408, "head_timeout", detail)
             self.send_400_response("")
         else:
-            # A connection that was opened ahead of its use, as browsers do: no answer to nothing.
+            # Browsers open connections before they need them; without a request there is no answer.
             self.transport.close()
 
 
-def _too_large(what: str) -> ProblemError:
-    fields: dict[str, Any] = {"limit_bytes": MOST_BYTES, "limit_fields": MOST_FIELDS}
-    detail = f"The head of the request has {what}."
+def _too_large(excess: str) -> ProblemError:
+    fields: dict[str, Any] = {"limit_bytes": MAX_HEAD_BYTES, "limit_fields": MAX_HEAD_FIELDS}
+    detail = f"The head of the request has {excess}."
     return ProblemError(431, "head_too_large", detail, fields=fields)
 
 
-def _on_the_wire(problem: ProblemError) -> bytes:
+def _encode_response(problem: ProblemError) -> bytes:
     response = problem.response({})
-    harden(response.headers)
+    add_security_headers(response.headers)
     response.headers["Connection"] = "close"
     status = f"HTTP/1.1 {problem.status} {HTTPStatus(problem.status).phrase}".encode()
     fields = (b"%s: %s" % field for field in response.raw_headers)

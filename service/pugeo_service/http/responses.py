@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer to an upsampling request: its bytes, and what was done in headers."""
+"""The response to an upsampling request: its bytes, and headers that describe the run."""
 
 import json
 from collections.abc import Mapping
@@ -9,41 +9,46 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from pugeo_service.engine import RunResult
-from pugeo_service.http.negotiation import Offer
+from pugeo_service.http.negotiation import OutputFormat
 
-__all__ = ["DenseAnswer", "answer_headers", "run_headers"]
+__all__ = ["SpoolResponse", "response_headers", "run_headers"]
 
-# Servers in between refuse headers much longer than this.
+# Many proxies refuse much longer headers.
 _NOTES_BYTES = 2048
 
 
-def answer_headers(outcome: RunResult, offer: Offer, card: dict[str, Any]) -> dict[str, str]:
-    """Return all headers of an answer that is sent as soon as it is there."""
+def response_headers(
+    result: RunResult, output: OutputFormat, card: dict[str, Any]
+) -> dict[str, str]:
+    """Return all headers of the response to ``POST /upsample``."""
     return {
-        **run_headers(outcome.report, outcome.seconds, offer, card),
-        "Content-Length": str(outcome.spool.size),
+        **run_headers(result.report, result.seconds, output, card),
+        "Content-Length": str(result.spool.size),
         "Vary": "Accept",
     }
 
 
 def run_headers(
-    report: dict[str, Any], seconds: dict[str, float], offer: Offer, model: Mapping[str, Any]
+    report: dict[str, Any],
+    seconds: dict[str, float],
+    output: OutputFormat,
+    model: Mapping[str, Any],
 ) -> dict[str, str]:
-    """Say in headers what was done.
+    """Return the headers that describe a run.
 
     ``Pugeo-Notes`` is a JSON array of sentences in ASCII, ``Server-Timing`` is in milliseconds.
 
     Args:
         report: the model's report of the run.
         seconds: of each stage.
-        offer: format of the bytes.
+        output: format of the bytes.
         model: ``version`` and ``sha256`` of the weights.
     """
     dropped = report["dropped"]
     timing = [f"{stage};dur={1000 * spent:.1f}" for stage, spent in seconds.items()]
     return {
-        "Content-Type": offer.media_type,
-        "Content-Disposition": f'attachment; filename="upsampled.{offer.extension}"',
+        "Content-Type": output.media_type,
+        "Content-Disposition": f'attachment; filename="upsampled.{output.extension}"',
         "Pugeo-Model-Version": str(model["version"]),
         "Pugeo-Model-Sha256": str(model["sha256"]),
         "Pugeo-Points-In": str(report["points_in"]),
@@ -55,22 +60,22 @@ def run_headers(
     }
 
 
-class DenseAnswer(Response):
-    """Sends an outcome and closes it, sent or not.
+class SpoolResponse(Response):
+    """Response that sends the spool of a run and closes it in any case.
 
-    Starlette's own streaming answer would leave the spool open where the client left before the
+    Starlette's streaming response would leave the spool open if the client disconnects before the
     first byte.
     """
 
-    def __init__(self, outcome: RunResult, headers: dict[str, str]) -> None:
+    def __init__(self, result: RunResult, headers: dict[str, str]) -> None:
         self.status_code = 200
         self.background = None
         self.init_headers(headers)
-        self._outcome = outcome
+        self._result = result
 
     async def __call__(self, _scope: Scope, _receive: Receive, send: Send) -> None:
         """Send headers and bytes."""
-        with self._outcome.spool as spool:
+        with self._result.spool as spool:
             await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
             async for data in spool.chunks():
                 await send({"type": "http.response.body", "body": data, "more_body": True})

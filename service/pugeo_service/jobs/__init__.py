@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs: requests that outlive their connection, and the process that accepted them."""
+"""Jobs: requests that continue after their connection, and the process that accepted them."""
 
-from pugeo_service.jobs.manager import Jobs
+from pugeo_service.jobs.manager import JobManager
 
-__all__ = ["Jobs"]
+__all__ = ["JobManager"]

@@ -1,56 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A job as clients see it."""
+"""Response models of the jobs API."""
 
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field
 
-from pugeo_service.http.negotiation import OFFERS
+from pugeo_service.http.negotiation import OUTPUT_FORMATS
 from pugeo_service.jobs.models import Job, State
 
-__all__ = ["JobView", "JobsView", "ProgressView"]
+__all__ = ["JobPage", "JobProgress", "JobResponse"]
 
 
-class ProgressView(BaseModel):
-    """How far a job is."""
+class JobProgress(BaseModel):
+    """Progress of a job."""
 
     stage: Annotated[
         str,
         Field(description="queued, prepare, predict, finish, collect or done"),
     ]
-    done: Annotated[int, Field(description="patches that went through the network")]
-    total: Annotated[int | None, Field(description="patches in all; null until they are counted")]
+    done: Annotated[int, Field(description="number of patches that went through the network")]
+    total: Annotated[
+        int | None, Field(description="number of patches; null until they are counted")
+    ]
 
     @classmethod
-    def of(cls, job: Job) -> Self:
-        """Show the progress of a job."""
+    def from_job(cls, job: Job) -> Self:
+        """Return the progress of a job."""
         return cls(stage=job.stage, done=job.patches_done, total=job.patches_total)
 
 
-class FileView(BaseModel):
-    """A file, without its bytes."""
+class StoredFile(BaseModel):
+    """Size and sha256 of a file."""
 
     bytes: int
     sha256: str
 
 
-class ResultView(FileView):
-    """The result of a job, as long as it can be fetched."""
+class JobResult(StoredFile):
+    """Result of a job, while it can be fetched."""
 
     href: str
     media_type: str
 
 
-class JobView(BaseModel):
+class JobResponse(BaseModel):
     """A job; times are ISO 8601 in UTC."""
 
     id: str
     state: State
-    progress: ProgressView
-    options: Annotated[dict[str, Any], Field(description="the query, with defaults filled in")]
-    input: FileView
-    result: ResultView | None
+    progress: JobProgress
+    options: Annotated[dict[str, Any], Field(description="the query with defaults")]
+    input: StoredFile
+    result: JobResult | None
     report: Annotated[
         dict[str, Any] | None,
         Field(description="points_in, points_out, dropped, patches, notes and so on"),
@@ -58,36 +60,37 @@ class JobView(BaseModel):
     timings: Annotated[dict[str, float] | None, Field(description="seconds of each stage")]
     model: Annotated[dict[str, str] | None, Field(description="version and sha256")]
     problem: Annotated[
-        dict[str, Any] | None, Field(description="why it failed, as application/problem+json")
+        dict[str, Any] | None,
+        Field(description="reason of the failure, as application/problem+json"),
     ]
-    attempts: Annotated[int, Field(description="times that it was begun")]
+    attempts: Annotated[int, Field(description="number of starts")]
     request_id: str
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
-    expires_at: Annotated[datetime | None, Field(description="its result is deleted")]
+    expires_at: Annotated[datetime | None, Field(description="time at which the result is deleted")]
     links: dict[str, str]
 
     @classmethod
-    def of(cls, job: Job) -> Self:
-        """Show a job."""
+    def from_job(cls, job: Job) -> Self:
+        """Return the response for a job."""
         path = f"/jobs/{job.id}"
         result = None
         if job.state == "succeeded":
             assert job.result_bytes is not None
             assert job.result_sha256 is not None
-            result = ResultView(
+            result = JobResult(
                 bytes=job.result_bytes,
                 sha256=job.result_sha256,
                 href=f"{path}/result",
-                media_type=OFFERS[job.answer].media_type,
+                media_type=OUTPUT_FORMATS[job.answer].media_type,
             )
         return cls(
             id=job.id,
             state=job.state,
-            progress=ProgressView.of(job),
+            progress=JobProgress.from_job(job),
             options={**job.options, "format": job.answer},
-            input=FileView(bytes=job.input_bytes, sha256=job.input_sha256),
+            input=StoredFile(bytes=job.input_bytes, sha256=job.input_sha256),
             result=result,
             report=job.report,
             timings=job.timings,
@@ -103,12 +106,12 @@ class JobView(BaseModel):
         )
 
 
-class JobsView(BaseModel):
+class JobPage(BaseModel):
     """A page of jobs, newest first."""
 
-    jobs: list[JobView]
+    jobs: list[JobResponse]
     next: Annotated[
-        str | None, Field(description="?cursor= of the next page; null where this is the last")
+        str | None, Field(description="?cursor= of the next page; null on the last page")
     ]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The database as the jobs see it: short transactions that run in threads."""
+"""Database access for jobs: short transactions that run in threads."""
 
 import asyncio
 import functools
@@ -12,8 +12,8 @@ import structlog
 from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
-from pugeo_service.http.plain_json import plain_json
-from pugeo_service.jobs.schema import metadata
+from pugeo_service.jobs.models import metadata
+from pugeo_service.json_encoding import encode_json
 from pugeo_service.problems import ProblemError
 
 __all__ = ["Database", "unavailable"]
@@ -23,27 +23,25 @@ T = TypeVar("T")
 Work = Callable[Concatenate[Connection, P], T]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
-_BUSY_S = 5.0
+_BUSY_S = 5.0  # wait for a lock of SQLite
 _THREADS = 4
-# A database that says nothing for so long has failed; else all threads would wait for it.
-_SILENCE_S = 15
-_MAKING = 0x70756767  # any number that nobody else locks in this database
+_RESPONSE_S = 15  # wait for PostgreSQL; without a limit all threads could block
+_CREATE_LOCK = 0x70756767  # key of an advisory lock; any number
 
 
 def unavailable(reason: str) -> ProblemError:
-    """Return the refusal of whatever needs the jobs' database or folder."""
-    detail = f"Jobs are not available at the moment ({reason}); POST /upsample works without them."
+    """Return the problem for requests that need the database or the folder of jobs."""
+    detail = f"Jobs are not available ({reason}); try again later, or use POST /upsample."
     return ProblemError(503, "jobs_unavailable", detail, retry_after=5)
 
 
 class Database:
-    """Runs functions of a connection as transactions, in a few threads of its own.
+    """Runs functions of a connection as transactions, in separate threads.
 
-    The threads are its own because one that waits for a lock must not keep bodies from being
-    spooled.
+    The threads are separate, so that waiting for a database lock does not delay writing of bodies.
 
     Args:
-        url: of SQLAlchemy; ``sqlite:///path`` or ``postgresql://...``.
+        url: SQLAlchemy URL, ``sqlite:///path`` or ``postgresql://...``.
     """
 
     def __init__(self, url: str) -> None:
@@ -53,25 +51,24 @@ class Database:
         self._threads = ThreadPoolExecutor(_THREADS, "pugeo-jobs")
 
     async def read(self, work: Work[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run ``work`` in a transaction that only reads.
+        """Run ``work`` in a read-only transaction.
 
         Raises:
-            ProblemError: 503 where the database cannot be used.
+            ProblemError: 503, the database cannot be used.
         """
         return await self._run(False, functools.partial(_bound, work, args, kwargs))
 
     async def write(self, work: Work[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run ``work`` in a transaction that is on disk when this returns.
+        """Run ``work`` in a transaction that is durable when this returns.
 
         Raises:
-            ProblemError: 503 where the database cannot be used; it is then unknown whether the
-                transaction took place.
-            IntegrityError: a row of that key exists.
+            ProblemError: 503, the database cannot be used; the transaction may have taken place.
+            IntegrityError: a row with the same key exists.
         """
         return await self._run(True, functools.partial(_bound, work, args, kwargs))
 
     def close(self) -> None:
-        """Close all connections once the transactions under way have ended."""
+        """Close all connections after the running transactions."""
         self._threads.shutdown(wait=True)
         if self._engine is not None:
             self._engine.dispose()
@@ -83,16 +80,16 @@ class Database:
         except IntegrityError:
             raise
         except (SQLAlchemyError, OSError) as error:
-            # Their text may hold addresses and values of rows: for the log alone.
-            _log.error("the jobs' database fails", reason=f"{type(error).__name__}: {error}"[:500])
-            raise unavailable("their database fails") from error
+            # The text may contain addresses and values of rows, so it is only logged.
+            _log.error("database error", reason=f"{type(error).__name__}: {error}"[:500])
+            raise unavailable("database error") from error
 
     def _transact(self, writes: bool, work: Callable[[Connection], T]) -> T:
         with self._opened().execution_options(pugeo_writes=writes).begin() as connection:
             return work(connection)
 
     def _opened(self) -> Engine:
-        """Connect at the first use, and again at the next if it failed."""
+        """Connect at the first use, and at later ones as long as it fails."""
         with self._opening:
             if self._engine is None:
                 engine = _engine(self._url)
@@ -114,19 +111,19 @@ def _bound(
 
 def _make_table(connection: Connection) -> None:
     if connection.dialect.name == "postgresql":
-        # Of two services that find no table and make one, the second would fail.
-        connection.execute(select(func.pg_advisory_xact_lock(_MAKING)))
+        # If two services create the table at the same time, the second would fail.
+        connection.execute(select(func.pg_advisory_xact_lock(_CREATE_LOCK)))
     metadata.create_all(connection)
 
 
 def _engine(text: str) -> Engine:
     url = make_url(text)
-    # A report or an error must never be what a job cannot be ended with.
-    options: dict[str, Any] = {"json_serializer": lambda value: plain_json(value).decode()}
+    # Reports and errors may contain any value; encoding them must not fail.
+    options: dict[str, Any] = {"json_serializer": lambda value: encode_json(value).decode()}
     if url.get_backend_name() == "postgresql":
         if url.drivername == "postgresql":
             url = url.set(drivername="postgresql+pg8000")
-        options["connect_args"] = {"timeout": _SILENCE_S}
+        options["connect_args"] = {"timeout": _RESPONSE_S}
         return create_engine(url, pool_pre_ping=True, pool_size=_THREADS, max_overflow=0, **options)
     engine = create_engine(url, pool_size=_THREADS, max_overflow=0, **options)
     event.listen(engine, "connect", _prepare_sqlite)
@@ -135,18 +132,18 @@ def _engine(text: str) -> Engine:
 
 
 def _prepare_sqlite(connection: Any, _record: object) -> None:
-    # The driver's own idea of when a transaction begins leaves reads outside of it.
+    # Disable the driver's implicit transactions, which do not include reads.
     connection.isolation_level = None
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout={int(1000 * _BUSY_S)}")
     cursor.execute("PRAGMA journal_mode=WAL")
-    # In WAL mode NORMAL may lose the last transactions in a power cut: an accepted job.
+    # In WAL mode NORMAL may lose the last transactions, thus accepted jobs, in a power cut.
     cursor.execute("PRAGMA synchronous=FULL")
     cursor.close()
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that begins as a reader and then writes fails at once when another one wrote
-    # in between; one that begins as a writer waits its turn.
+    # A transaction that begins by reading fails at its first write if another one has written
+    # meanwhile; one that begins by writing waits for the lock.
     writes = connection.get_execution_options().get("pugeo_writes", True)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A job as a stream of server-sent events."""
+"""Server-sent events of a job."""
 
 import asyncio
 from collections.abc import AsyncIterator
 
 from fastapi.sse import format_sse_event
 
-from pugeo_service.jobs.api_models import JobView, ProgressView
+from pugeo_service.jobs.api_models import JobProgress, JobResponse
 from pugeo_service.jobs.models import Job
 
 __all__ = ["stream"]
 
 _HEARTBEAT_S = 15.0
 _RECONNECT_MS = 2000
+_MAX_DIGITS = 10
 
 
 async def stream(
@@ -23,15 +24,16 @@ async def stream(
 ) -> AsyncIterator[bytes]:
     """Yield the events of a job until its end, or until ``changes`` yields ``None``.
 
-    ``state`` and ``end`` carry the whole job, ``progress`` its progress; ids are revisions of the
-    job, so that a client that comes back gets what it has not seen, and nothing twice.
+    ``state`` and ``end`` contain the whole job, ``progress`` its progress. Event ids are revisions
+    of the job, so that a client that reconnects receives no event twice.
 
     Args:
-        job: as it is now.
-        changes: its later states.
-        last_event_id: what a client that comes back has seen; anything that is no revision of
-            this job counts as nothing.
-        heartbeat_s: seconds of silence before a comment is sent, lest proxies close the line.
+        job: present state.
+        changes: later states.
+        last_event_id: header of a client that reconnects; ignored if it is not a revision of this
+            job.
+        heartbeat_s: seconds without an event before a comment is sent, because proxies close
+            silent connections.
     """
     yield format_sse_event(retry=_RECONNECT_MS)
     if _revision(last_event_id, job) != job.revision:
@@ -53,11 +55,12 @@ async def stream(
 
 
 def _event(kind: str, job: Job) -> bytes:
-    shown = ProgressView.of(job) if kind == "progress" else JobView.of(job)
-    return format_sse_event(data_str=shown.model_dump_json(), event=kind, id=str(job.revision))
+    data = JobProgress.from_job(job) if kind == "progress" else JobResponse.from_job(job)
+    return format_sse_event(data_str=data.model_dump_json(), event=kind, id=str(job.revision))
 
 
 def _revision(last_event_id: str | None, job: Job) -> int | None:
-    known = last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit()
-    seen = int(last_event_id) if known and last_event_id and len(last_event_id) < 10 else None
-    return seen if seen is not None and seen <= job.revision else None
+    text = last_event_id or ""
+    if not (text.isascii() and text.isdigit() and len(text) < _MAX_DIGITS):
+        return None
+    return int(text) if int(text) <= job.revision else None

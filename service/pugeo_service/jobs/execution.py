@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One attempt at a job: from the bytes of its input to those of its result on disk."""
+"""Execution of a job, from its input file to its result file."""
 
 import asyncio
 
-from pugeo_service.admission.admission import Admission, Hold
+from pugeo_service.admission.admission import Admission, Reservation
 from pugeo_service.engine import Engine, RunRequest, RunResult
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.files import JobFiles
@@ -14,21 +14,21 @@ from pugeo_service.runs import count_run, engine_problems, make_run_request
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 
-__all__ = ["Attempt"]
+__all__ = ["Execution"]
 
-_ROOM_S = 0.5
+_ADMISSION_RETRY_S = 0.5
 
 
-class Attempt:
-    """Works on a job; knows nothing of databases.
+class Execution:
+    """Runs a job once; does not access the database.
 
     Args:
-        job: which.
+        job: job to run.
         settings: limits.
-        engine: does the work.
-        admission: the account of jobs in the queue.
-        files: where input and result are.
-        telemetry: counts a run that succeeded.
+        engine: runs the request.
+        admission: queue of jobs.
+        files: files of jobs.
+        telemetry: counts successful runs.
         model: ``version`` and ``sha256`` of the weights.
     """
 
@@ -56,38 +56,38 @@ class Attempt:
 
     @property
     def progress(self) -> tuple[str, int, int | None]:
-        """The stage, patches done, and patches in all once they are known."""
+        """Stage, number of finished patches, and number of patches if it is known."""
         return self._stage, self._done, self._total
 
     async def run(self) -> Success:
-        """Do it; cancelling this cancels its tasks.
+        """Run the job; cancelling this cancels its tasks.
 
         Raises:
             CloudError: the input cannot be used.
-            InputLostError: it is not there any more.
-            ProblemError: 422 for what the workers cannot do, 503 where they or the disk fail, 504
-                where the time of a job is over.
+            InputLostError: the input file is missing or changed.
+            ProblemError: 422 the cloud is too much for a worker, 503 workers or disk fail, 504 the
+                time limit of jobs is exceeded.
         """
-        with await self._admitted() as hold:
-            outcome = await self._upsampled(hold)
-            with outcome.spool:
-                return await self._kept(outcome)
+        with await self._admit() as reservation:
+            result = await self._upsample(reservation)
+            with result.spool:
+                return await self._store(result)
 
-    async def _admitted(self) -> Hold:
-        """Wait until the patches of all jobs that run leave room for these."""
+    async def _admit(self) -> Reservation:
+        """Wait until the queue of jobs has room for the patches of this one."""
         patches = RunRequest.estimate(self._job.input_bytes, self._job.format)
         while True:
             try:
-                hold = self._admission.hold()
-                hold.enter(patches)
+                reservation = self._admission.reserve()
+                reservation.admit(patches)
             except ProblemError:
-                await asyncio.sleep(_ROOM_S)
+                await asyncio.sleep(_ADMISSION_RETRY_S)
             else:
-                return hold
+                return reservation
 
-    async def _upsampled(self, hold: Hold) -> RunResult:
+    async def _upsample(self, reservation: Reservation) -> RunResult:
         job, settings = self._job, self._settings
-        order = make_run_request(
+        run_request = make_run_request(
             settings,
             UpsampleQuery(**job.options).for_model(),
             format=job.format,
@@ -101,35 +101,35 @@ class Attempt:
 
         def on_patches(count: int) -> None:
             self._total, self._done = count, 0
-            hold.resize(count)
+            reservation.set_patches(count)
 
         def on_done(count: int) -> None:
             self._done += count
-            hold.finish(count)
+            reservation.finish(count)
 
         body = self._files.input(job.id, job.input_bytes, job.input_sha256)
         try:
             async with asyncio.timeout(settings.jobs_deadline_s):
                 with engine_problems():
                     return await self._engine.run(
-                        body, order, on_patches=on_patches, on_done=on_done, on_stage=on_stage
+                        body, run_request, on_patches=on_patches, on_done=on_done, on_stage=on_stage
                     )
         except TimeoutError as error:
-            detail = f"The job took longer than {settings.jobs_deadline_s:g} s, its limit."
+            detail = f"The job exceeded the limit of {settings.jobs_deadline_s:g} s for jobs."
             fields = {"limit": settings.jobs_deadline_s}
             raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
-    async def _kept(self, outcome: RunResult) -> Success:
+    async def _store(self, result: RunResult) -> Success:
         with storage_problems(), self._files.new_result(self._job.id) as file:
-            async for data in outcome.spool.chunks():
+            async for data in result.spool.chunks():
                 await file.write(data)
             await file.commit()
-        count_run(self._telemetry, outcome)
+        count_run(self._telemetry, result)
         return Success(
             size=file.size,
             sha256=file.sha256,
-            report=outcome.report,
-            timings=outcome.seconds,
+            report=result.report,
+            timings=result.seconds,
             model=self._model,
             patches=self._total or 0,
         )

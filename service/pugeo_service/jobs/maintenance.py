@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has to be done for jobs from time to time, whether or not any runs here."""
+"""Periodic maintenance of jobs: takeover, expiry, removal of unused files."""
 
 import asyncio
 import time
@@ -7,113 +7,116 @@ from collections.abc import Awaitable, Callable
 
 import structlog
 
-from pugeo_service.jobs import client_queries, runner_queries
-from pugeo_service.jobs.client_queries import Usage
-from pugeo_service.jobs.completion import Settlement, crashed
+from pugeo_service.jobs import repository
+from pugeo_service.jobs.completion import Completion, crash_problem
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
-from pugeo_service.jobs.process_lock import Presence
+from pugeo_service.jobs.process_lock import ProcessLock
+from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 
-__all__ = ["Keeper"]
+__all__ = ["Maintenance"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
-_ROUND_S = 2.0
+_INTERVAL_S = 2.0
 _SWEEP_S = 600.0
-# A file whose row is not written yet is younger than this.
+# Files of jobs that are not in the table yet are younger than this.
 _ORPHAN_S = 3600.0
-# A job is still known, and its key still honoured, for so long after its result is gone.
-_REMEMBER_S = 7 * 86400.0
+# Time that a job and its idempotency key are kept after its result has expired.
+_KEEP_ROW_S = 7 * 86400.0
 
 
-class Keeper:
-    """Takes over the jobs of processes that died, lets results expire, removes orphans.
+class Maintenance:
+    """Takes over jobs of ended processes, expires results, removes unused files.
 
     Args:
-        database: where jobs are.
-        files: their files.
-        presence: which processes live.
-        settle: fails those that were begun too often.
-        telemetry: counts what expired.
-        reclaim: puts back jobs that this process was to run and does not.
+        database: database of jobs.
+        files: files of jobs.
+        lock: finds ended processes.
+        completion: ends jobs with too many attempts as failed.
+        telemetry: counts expired results.
+        requeue_unknown: queues jobs again that the database assigns to this process but that do not
+            run.
 
     Attributes:
-        usage: what jobs take up, some seconds old at most.
+        usage: use of the capacity for jobs, at most some seconds old.
     """
 
     def __init__(
         self,
         database: Database,
         files: JobFiles,
-        presence: Presence,
-        settle: Settlement,
+        lock: ProcessLock,
+        completion: Completion,
         telemetry: Telemetry,
-        reclaim: Callable[[], Awaitable[None]],
+        requeue_unknown: Callable[[], Awaitable[None]],
     ) -> None:
         self._database = database
         self._files = files
-        self._presence = presence
-        self._settle = settle
+        self._lock = lock
+        self._completion = completion
         self._telemetry = telemetry
-        self._reclaim = reclaim
-        self.usage = Usage()
+        self._requeue_unknown = requeue_unknown
+        self.usage = JobUsage()
 
-    async def begin(self) -> None:
-        """Clear up after processes that died, before the first request is let in.
+    async def start(self) -> None:
+        """Take over jobs of ended processes and remove their files, before the first request.
 
         Raises:
             ProblemError: 503, the database cannot be used.
-            OSError: the folder cannot.
+            OSError: the folder cannot be used.
         """
         await self._take_over()
-        # First the time: whatever a process that joins meanwhile makes is younger.
+        # The time is read first: files of a process that starts meanwhile are younger.
         now = time.time()
-        alone = await asyncio.to_thread(lambda: self._presence.alone)
+        alone = await asyncio.to_thread(lambda: self._lock.is_only_process)
         await self._sweep(now if alone else now - _ORPHAN_S)
-        self.usage = await self._database.read(client_queries.usage)
+        self.usage = await self._database.read(repository.usage)
 
     async def run(self) -> None:
-        """Go round until cancelled."""
+        """Repeat maintenance every 2 s until cancelled."""
         swept = time.monotonic()
         while True:
-            await asyncio.sleep(_ROUND_S)
+            await asyncio.sleep(_INTERVAL_S)
             try:
                 await self._take_over()
-                await self._reclaim()
+                await self._requeue_unknown()
                 await self._expire()
                 if time.monotonic() - swept > _SWEEP_S:
                     swept = time.monotonic()
-                    await self._database.write(runner_queries.prune, time.time() - _REMEMBER_S)
+                    await self._database.write(repository.prune, time.time() - _KEEP_ROW_S)
                     await self._sweep(time.time() - _ORPHAN_S)
-                self.usage = await self._database.read(client_queries.usage)
+                self.usage = await self._database.read(repository.usage)
             except ProblemError:
-                continue  # the database's own log line says why
+                continue  # logged by the database
             except OSError as error:
-                _log.error("the folder of jobs fails", reason=str(error))
-            except Exception:  # noqa: BLE001 - a bug must not end all jobs for good
-                _log.exception("jobs are not kept")
+                _log.error("folder of jobs cannot be used", reason=str(error))
+            except Exception:  # noqa: BLE001 - an unexpected error must not end maintenance
+                _log.exception("maintenance of jobs failed")
 
     async def _take_over(self) -> None:
-        names = await self._database.read(runner_queries.runners)
-        dead = await asyncio.to_thread(self._presence.dead, names)
-        if not dead:
+        names = await self._database.read(repository.runners)
+        ended = await asyncio.to_thread(self._lock.ended, names)
+        if not ended:
             return
-        spent = await self._database.write(runner_queries.release, dead, self._settle.most_attempts)
-        _log.warning("jobs of a process that ended are taken over", given_up=len(spent))
-        for job in spent:
-            await self._settle.fail(job, job.runner or "", crashed(job))
+        failed = await self._database.write(
+            repository.requeue_all_of, ended, self._completion.max_attempts
+        )
+        _log.warning("jobs of an ended process taken over", failed=len(failed))
+        for job in failed:
+            await self._completion.fail(job, job.runner or "", crash_problem(job))
 
     async def _expire(self) -> None:
-        for job_id in await self._database.write(runner_queries.expire, time.time()):
+        for job_id in await self._database.write(repository.expire, time.time()):
             await asyncio.to_thread(self._files.remove_result, job_id)
             self._telemetry.jobs.labels("expired").inc()
 
-    async def _sweep(self, youngest: float) -> None:
-        """Remove files that no job needs and that were made by then, a time already past."""
-        inputs, results = await self._database.read(runner_queries.wanted)
+    async def _sweep(self, made_before: float) -> None:
+        """Remove files that no job needs and that were modified before a past time."""
+        inputs, results = await self._database.read(repository.wanted_files)
         removed = await asyncio.to_thread(
-            self._files.sweep, inputs, results, youngest, self._presence.alive
+            self._files.sweep, inputs, results, made_before, self._lock.is_alive
         )
         if removed:
-            _log.info("files that no job needs were removed", files=removed)
+            _log.info("unused files of jobs removed", files=removed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A job as a value: what a row of the database says."""
+"""Jobs as values, and their table, in SQL that SQLite and PostgreSQL both support."""
 
 import secrets
 import time
@@ -7,7 +7,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["ACTIVE", "FINAL", "Job", "State", "Success", "new_id"]
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Column,
+    Double,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    UniqueConstraint,
+)
+
+__all__ = ["ACTIVE", "FINAL", "Job", "State", "Success", "jobs", "metadata", "new_id"]
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "expired"]
 ACTIVE: tuple[State, ...] = ("queued", "running")
@@ -17,14 +30,14 @@ FINAL: tuple[State, ...] = ("succeeded", "failed", "cancelled", "expired")
 def new_id() -> str:
     """Make an id: 12 digits of the time in ms and 20 random ones, hexadecimal.
 
-    Ids sort by age, so that paging through a list needs no second column, and nobody guesses one.
+    Ids sort by age, so lists need no second column for paging, and cannot be guessed.
     """
     return f"{time.time_ns() // 1_000_000:012x}{secrets.token_hex(10)}"
 
 
 @dataclass(frozen=True)
 class Success:
-    """What is noted of a result that lies on disk.
+    """Description of a result on disk.
 
     Attributes:
         size: bytes of the file.
@@ -32,7 +45,7 @@ class Success:
         report: the model's report of the run.
         timings: seconds of each stage.
         model: ``version`` and ``sha256`` of the weights.
-        patches: that went through the network.
+        patches: number of patches that went through the network.
     """
 
     size: int
@@ -49,33 +62,33 @@ class Job:
 
     Attributes:
         id: see `new_id`.
-        owner: name of the API key that sent it, ``""`` without keys.
-        state: where it is in its life.
-        revision: grows with every change that somebody might watch.
-        idempotency_key: the client's own name of the request, or ``None``.
-        request_digest: sha256 of options and body: tells a repeated request from another one.
-        request_id: the request that brought it, for the log.
+        owner: name of the API key of its request, ``""`` without keys.
+        state: state of its life cycle.
+        revision: grows with each visible change.
+        idempotency_key: name of the request given by the client, or ``None``.
+        request_digest: sha256 of options and body, to recognise a repeated request.
+        request_id: id of the request that created it, for the log.
         options: the query, as the fields of ``UpsampleQuery``.
-        format: the input's format, or ``None`` where the content decides.
+        format: format of the input, or ``None`` if the content decides.
         answer: format of the result.
         input_bytes: size of the input.
-        input_sha256: of the input, hexadecimal.
-        stage: what is done now, or was done last.
-        patches_done: patches that went through the network.
-        patches_total: patches in all, ``None`` until the cloud is prepared.
-        attempts: times that it was begun and not given back.
+        input_sha256: sha256 of the input, hexadecimal.
+        stage: current or last stage.
+        patches_done: number of patches that went through the network.
+        patches_total: number of patches, ``None`` until the cloud is prepared.
+        attempts: number of starts, without those that ended by a shutdown.
         runner: the process that runs it, or ``None``.
-        not_before: it is not begun earlier.
-        created_at: it was accepted.
-        started_at: it was begun, last time.
-        finished_at: its end.
-        expires_at: its result is deleted.
+        not_before: earliest start.
+        created_at: time of its acceptance.
+        started_at: time of its last start.
+        finished_at: time of its end.
+        expires_at: time at which its result is deleted.
         result_bytes: size of the result.
-        result_sha256: of the result, hexadecimal.
-        report: the model's report.
+        result_sha256: sha256 of the result, hexadecimal.
+        report: report of the model.
         timings: seconds of each stage.
         model: ``version`` and ``sha256`` of the weights that ran.
-        problem: why it failed, as problem+json.
+        problem: reason of its failure, as problem+json.
     """
 
     id: str
@@ -109,14 +122,55 @@ class Job:
 
     @classmethod
     def from_row(cls, row: Mapping[Any, Any]) -> "Job":
-        """Make one of a row with the same columns."""
+        """Make a job of a row of the table."""
         return cls(**row)
 
     @property
     def finished(self) -> bool:
-        """Whether nothing will be done for it any more."""
+        """Whether it has ended."""
         return self.state in FINAL
 
-    def result_there(self, now: float) -> bool:
+    def has_result(self, now: float) -> bool:
         """Whether its result may be fetched at the time ``now``."""
         return self.state == "succeeded" and (self.expires_at is None or now < self.expires_at)
+
+
+metadata = MetaData()
+
+# Times are seconds as numbers: SQLite has no type for them.
+jobs = Table(
+    "pugeo_jobs",
+    metadata,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(64), nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("revision", Integer, nullable=False),
+    Column("idempotency_key", String(255)),
+    Column("request_digest", String(64), nullable=False),
+    Column("request_id", String(128), nullable=False),
+    Column("options", JSON, nullable=False),
+    Column("format", String(32)),
+    Column("answer", String(32), nullable=False),
+    Column("input_bytes", BigInteger, nullable=False),
+    Column("input_sha256", String(64), nullable=False),
+    Column("created_at", Double, nullable=False),
+    Column("stage", String(32), nullable=False),
+    Column("patches_done", Integer, nullable=False),
+    Column("patches_total", Integer),
+    Column("attempts", Integer, nullable=False),
+    Column("runner", String(64)),
+    Column("not_before", Double, nullable=False),
+    Column("started_at", Double),
+    Column("finished_at", Double),
+    Column("expires_at", Double),
+    Column("result_bytes", BigInteger),
+    Column("result_sha256", String(64)),
+    Column("report", JSON(none_as_null=True)),
+    Column("timings", JSON(none_as_null=True)),
+    Column("model", JSON(none_as_null=True)),
+    Column("problem", JSON(none_as_null=True)),
+    # Rows without a key do not conflict: in both databases NULL is not equal to NULL.
+    UniqueConstraint("owner", "idempotency_key", name="pugeo_jobs_key"),
+    Index("pugeo_jobs_state", "state", "id"),
+    Index("pugeo_jobs_owner", "owner", "id"),
+)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which processes that use a folder of jobs are alive.
+"""Locks that show which processes that share a folder of jobs are running.
 
-Each holds a lock on a file of its own. The kernel lets go of it when the process ends, however it
-ends, so its jobs can be taken over at once; and never while it lives, however slow or paused it
-is, so no job ever runs twice at one time. Leases by the clock would give neither.
+Each process holds a lock on its own file. The kernel releases it when the process ends for any
+reason, so its jobs can be taken over at once, but never while a slow or paused process still runs,
+so no job runs twice at one time. Leases with a time limit guarantee neither.
 """
 
 import fcntl
@@ -12,17 +12,17 @@ import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["Presence"]
+__all__ = ["ProcessLock"]
 
 
-class Presence:
-    """This process among those that share a folder.
+class ProcessLock:
+    """Lock of this process in a folder of jobs.
 
     Args:
-        folder: of the jobs, on a file system with locks that all processes see.
+        folder: folder of jobs, on a file system whose locks all processes share.
 
     Attributes:
-        name: of this process; no other ever has the same.
+        name: unique name of this process.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -30,16 +30,16 @@ class Presence:
         self._folder = folder / "runners"
         self._descriptor: int | None = None
 
-    def enter(self) -> None:
-        """Be alive for the others.
+    def acquire(self) -> None:
+        """Acquire the lock. Idempotent.
 
         Raises:
-            OSError: the folder cannot be written to.
+            OSError: the folder is not writable.
         """
         if self._descriptor is not None:
             return
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Locked before it has its name, or another process might find it free and take it away.
+        # Locked before it has its final name: another process removes unlocked files.
         making = self._folder / f".{self.name}"
         descriptor = os.open(making, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         try:
@@ -51,15 +51,15 @@ class Presence:
             raise
         self._descriptor = descriptor
 
-    def leave(self) -> None:
-        """Be gone for the others."""
+    def release(self) -> None:
+        """Release the lock. Idempotent."""
         if self._descriptor is not None:
             (self._folder / self.name).unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = None
 
-    def alive(self, name: str) -> bool:
-        """Whether the process of a name runs; forgets one that does not."""
+    def is_alive(self, name: str) -> bool:
+        """Whether the process of a name runs; the file of an ended process is removed."""
         if name == self.name:
             return True
         path = self._folder / name
@@ -77,12 +77,12 @@ class Presence:
         finally:
             os.close(descriptor)
 
-    def dead(self, names: Iterable[str]) -> list[str]:
-        """Return those of the names whose processes are gone."""
-        return [name for name in names if not self.alive(name)]
+    def ended(self, names: Iterable[str]) -> list[str]:
+        """Return the names of ended processes among ``names``."""
+        return [name for name in names if not self.is_alive(name)]
 
     @property
-    def alone(self) -> bool:
+    def is_only_process(self) -> bool:
         """Whether no other process uses the folder."""
         others = [path.name for path in self._folder.iterdir() if not path.name.startswith(".")]
-        return not [name for name in others if name != self.name and self.alive(name)]
+        return not [name for name in others if name != self.name and self.is_alive(name)]

@@ -1,67 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether there is room for another job: in all, and in the share of its owner."""
+"""Quota of jobs: capacity of the service and fair shares of owners."""
 
 from dataclasses import dataclass
 
 from pugeo_service.admission.fair_share import check_share
-from pugeo_service.jobs.client_queries import Usage
+from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.problems import ProblemError
 
-__all__ = ["Room"]
+__all__ = ["Quota"]
 
-# How long jobs take nobody knows before they have begun.
+# The time of queued jobs is unknown, so this is a fixed estimate.
 _RETRY_S = 30.0
 
 
 @dataclass(frozen=True)
-class Room:
-    """What jobs may take up.
+class Quota:
+    """Capacity for jobs.
 
     Attributes:
-        jobs: that wait or run.
-        bytes: of inputs of these, and of results that are kept.
+        jobs: number of queued and running jobs.
+        bytes: bytes of their inputs and of stored results.
     """
 
     jobs: int
     bytes: int
 
-    def check(self, owner: str, size: int, taken: Usage, mine: Usage) -> None:
-        """Refuse a job that there is no room for.
+    def check(self, owner: str, size: int, total: JobUsage, owned: JobUsage) -> None:
+        """Refuse a job that exceeds the capacity or the share of its owner.
 
         Args:
-            owner: whose share it counts to; ``""`` for nobody's, where no keys are asked for.
-            size: bytes of its input, or 0 while that is not known.
-            taken: what all jobs take up.
-            mine: what those of its owner do.
+            owner: name of the API key; ``""`` without keys, where no shares apply.
+            size: bytes of the input, or 0 if unknown.
+            total: use by all jobs.
+            owned: use by the jobs of the owner.
 
         Raises:
-            ProblemError: 503 where all together take up too much, 429 where the owner does.
+            ProblemError: 503 for the capacity, 429 for the share.
         """
         size = max(1, size)
-        if taken.active >= self.jobs or taken.bytes + size > self.bytes:
-            raise self._full(taken)
+        if total.active >= self.jobs or total.bytes + size > self.bytes:
+            raise self._full(total)
         if not owner:
             return
         for unit, held, wanted, free in (
-            ("jobs", mine.active, 1, self.jobs - taken.active),
-            ("bytes", mine.bytes, size, self.bytes - taken.bytes),
+            ("jobs", owned.active, 1, self.jobs - total.active),
+            ("bytes", owned.bytes, size, self.bytes - total.bytes),
         ):
             check_share(
                 unit,
-                "the room for jobs",
+                "the capacity for jobs",
                 held=held,
-                elsewhere=held,
+                held_elsewhere=held,
                 wanted=wanted,
                 free=free,
-                wait=lambda _: _RETRY_S,
+                retry_after=lambda _: _RETRY_S,
             )
 
-    def _full(self, taken: Usage) -> ProblemError:
-        detail = "There is no room for another job; try again after the time in Retry-After."
+    def _full(self, total: JobUsage) -> ProblemError:
+        detail = "The capacity for jobs is exhausted; try again after the time in Retry-After."
         fields = {
-            "active_jobs": taken.active,
+            "active_jobs": total.active,
             "capacity_jobs": self.jobs,
-            "bytes": taken.bytes,
+            "bytes": total.bytes,
             "capacity_bytes": self.bytes,
         }
         return ProblemError(503, "jobs_full", detail, retry_after=_RETRY_S, fields=fields)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What takes jobs from the queue and runs them, a few at a time."""
+"""Runner: takes jobs from the queue and executes some at a time."""
 
 import asyncio
 import contextlib
@@ -9,35 +9,35 @@ from collections.abc import Callable
 import structlog
 
 from pugeo_service.engine import Engine
-from pugeo_service.jobs import client_queries, runner_queries
-from pugeo_service.jobs.completion import Settlement, crashed
+from pugeo_service.jobs import repository
+from pugeo_service.jobs.completion import Completion, crash_problem
 from pugeo_service.jobs.database import Database
-from pugeo_service.jobs.execution import Attempt
+from pugeo_service.jobs.execution import Execution
 from pugeo_service.jobs.models import Job
 from pugeo_service.problems import ProblemError
 
 __all__ = ["Runner"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
-# Work that another process accepted, or that waits for its time, is found after so long.
-_LOOK_S = 1.0
-# Progress is noted, and another process's cancellation seen, so often.
-_TICK_S = 0.5
-# What was claimed a moment ago may not be known here yet.
-_STRAY_S = 30.0
+# Interval in which jobs of other processes, and jobs with a start time, are found.
+_POLL_S = 1.0
+# Interval in which progress is stored, and a cancellation by another process is noticed.
+_PROGRESS_S = 0.5
+# A job that was claimed more recently may not be known here yet.
+_UNKNOWN_S = 30.0
 
 
 class Runner:
-    """Runs jobs while it is told to.
+    """Executes jobs until it is drained.
 
     Args:
-        name: of this process.
-        limit: jobs that run at one time.
-        engine: where they run.
-        database: where they are.
-        attempt: makes the work of a job.
-        settle: notes how it ended.
-        changed: is called whenever a job has changed.
+        name: name of this process.
+        limit: maximum number of running jobs.
+        engine: has the workers.
+        database: database of jobs.
+        make_execution: makes the execution of a job.
+        completion: stores the outcome of an execution.
+        on_change: called whenever a job has changed.
     """
 
     def __init__(
@@ -46,82 +46,82 @@ class Runner:
         limit: int,
         engine: Engine,
         database: Database,
-        attempt: Callable[[Job], Attempt],
-        settle: Settlement,
-        changed: Callable[[], None],
+        make_execution: Callable[[Job], Execution],
+        completion: Completion,
+        on_change: Callable[[], None],
     ) -> None:
         self._name = name
         self._limit = limit
         self._engine = engine
         self._database = database
-        self._attempt = attempt
-        self._settle = settle
-        self._changed = changed
-        self._halts: dict[str, asyncio.Event] = {}
+        self._make_execution = make_execution
+        self._completion = completion
+        self._on_change = on_change
+        self._stop_events: dict[str, asyncio.Event] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._wake = asyncio.Event()
         self._draining = False
 
     def wake(self) -> None:
-        """Look for work now: a job was accepted."""
+        """Look for a job now, because one was accepted."""
         self._wake.set()
 
-    def halt(self, job_id: str) -> bool:
-        """Stop working on a job that was cancelled; return whether this process runs it."""
-        if job_id not in self._halts:
-            return False
-        self._halts[job_id].set()
-        return True
+    def stop_job(self, job_id: str) -> None:
+        """Stop a cancelled job if this process runs it."""
+        if job_id in self._stop_events:
+            self._stop_events[job_id].set()
 
     def drain(self) -> None:
-        """Begin nothing more, and give back what runs."""
+        """Start no further jobs, and queue the running ones again."""
         self._draining = True
-        self._settle.hurry = True
-        for halt in self._halts.values():
-            halt.set()
+        self._completion.shutting_down = True
+        for stop in self._stop_events.values():
+            stop.set()
         self._wake.set()
 
     async def run(self) -> None:
-        """Run jobs until `drain`, and then until those that ran are given back."""
+        """Execute jobs until `drain`; return once the running ones are queued again."""
         while not self._draining:
             try:
-                await self._begin()
+                await self._start_jobs()
             except ProblemError:
-                # The database's log line says why; it may be back at the next look.
+                # Logged by the database; the next poll tries again.
                 self._wake.clear()
-            except Exception:  # noqa: BLE001 - a bug must not end all jobs for good
-                _log.exception("jobs cannot be begun")
+            except Exception:  # noqa: BLE001 - an unexpected error must not end the runner
+                _log.exception("jobs cannot be started")
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK_S):
+                async with asyncio.timeout(_POLL_S):
                     await self._wake.wait()
             self._wake.clear()
         await asyncio.gather(*self._tasks)
 
-    async def reclaim(self) -> None:
-        """Put back what is marked as run here and is not, say since the answer to a claim was lost.
+    async def requeue_unknown(self) -> None:
+        """Queue jobs again that the database assigns to this process but that do not run here.
+
+        The response to a claim may have been lost.
 
         Raises:
             ProblemError: 503, the database cannot be used.
         """
-        before = time.time() - _STRAY_S
+        before = time.time() - _UNKNOWN_S
         if await self._database.write(
-            runner_queries.put_back, self._name, list(self._halts), before
+            repository.requeue_unknown, self._name, list(self._stop_events), before
         ):
-            _log.warning("jobs that nobody ran are queued again")
+            _log.warning("jobs without an execution queued again")
             self.wake()
 
-    async def _begin(self) -> None:
-        """Take as many jobs as may run."""
+    async def _start_jobs(self) -> None:
+        """Claim and start jobs up to the limit."""
         while (
             len(self._tasks) < self._limit
             and self._engine.status.workers
             and not self._draining
-            and (job := await self._database.write(runner_queries.claim, self._name, time.time()))
+            and (job := await self._database.write(repository.claim, self._name, time.time()))
         ):
-            self._halts[job.id] = asyncio.Event()
+            self._stop_events[job.id] = asyncio.Event()
             if self._draining:
-                self._halts[job.id].set()
-            task = asyncio.create_task(self._run(job, self._halts[job.id]))
+                self._stop_events[job.id].set()
+            task = asyncio.create_task(self._run(job, self._stop_events[job.id]))
             self._tasks.add(task)
             task.add_done_callback(self._ended)
 
@@ -129,65 +129,65 @@ class Runner:
         self._tasks.discard(task)
         self._wake.set()
 
-    async def _run(self, job: Job, halt: asyncio.Event) -> None:
+    async def _run(self, job: Job, stop: asyncio.Event) -> None:
         waited = round(time.time() - job.created_at, 3)
         with structlog.contextvars.bound_contextvars(job=job.id, request_id=job.request_id):
             _log.info("job started", attempt=job.attempts, waited_s=waited)
-            self._changed()
+            self._on_change()
             try:
-                if job.attempts > self._settle.most_attempts:
-                    await self._settle.fail(job, self._name, crashed(job))
+                if job.attempts > self._completion.max_attempts:
+                    await self._completion.fail(job, self._name, crash_problem(job))
                     return
-                attempt = self._attempt(job)
-                work = asyncio.create_task(attempt.run())
+                execution = self._make_execution(job)
+                work = asyncio.create_task(execution.run())
                 try:
-                    await self._attend(job, attempt, work, halt)
+                    await self._monitor(job, execution, work, stop)
                 finally:
                     work.cancel()
                     await asyncio.gather(work, return_exceptions=True)
-                await self._settle(job, work)
+                await self._completion(job, work)
             except ProblemError:
-                # It stays this process's, and is taken up again once that has ended.
-                _log.error("the end of a job could not be noted")
-            except Exception:  # noqa: BLE001 - `reclaim` takes it up again
-                _log.exception("a job was left behind")
+                # It stays assigned to this process; another takes it over after the end.
+                _log.error("outcome of a job could not be stored")
+            except Exception:  # noqa: BLE001 - `requeue_unknown` queues it again
+                _log.exception("job ended unexpectedly")
             finally:
-                # Given back, the job may have been begun anew: that one's event stays.
-                if self._halts.get(job.id) is halt:
-                    del self._halts[job.id]
-                self._changed()
+                # A job that was queued again may already run anew, with another event.
+                if self._stop_events.get(job.id) is stop:
+                    del self._stop_events[job.id]
+                self._on_change()
 
-    async def _attend(
-        self, job: Job, attempt: Attempt, work: "asyncio.Task[object]", halt: asyncio.Event
+    async def _monitor(
+        self, job: Job, execution: Execution, work: "asyncio.Task[object]", stop: asyncio.Event
     ) -> None:
-        """Note progress until the work is done, or somebody wants it to end."""
-        halted = asyncio.create_task(halt.wait())
-        noted = None
+        """Store progress until the work has ended or must stop."""
+        stopping = asyncio.create_task(stop.wait())
+        stored = None
         try:
             while True:
                 await asyncio.wait(
-                    {work, halted}, timeout=_TICK_S, return_when=asyncio.FIRST_COMPLETED
+                    {work, stopping}, timeout=_PROGRESS_S, return_when=asyncio.FIRST_COMPLETED
                 )
-                if work.done() or halted.done():
+                if work.done() or stopping.done():
                     return
-                now = attempt.progress
+                now = execution.progress
                 try:
-                    mine = await self._note(job, now if now != noted else None)
+                    owned = await self._store_progress(job, now if now != stored else None)
                 except ProblemError:
                     continue
-                if not mine:
+                if not owned:
                     return
-                if now != noted:
-                    noted = now
-                    self._changed()
+                if now != stored:
+                    stored = now
+                    self._on_change()
         finally:
-            halted.cancel()
+            stopping.cancel()
 
-    async def _note(self, job: Job, progress: tuple[str, int, int | None] | None) -> bool:
-        """Write progress down if there is any; return whether the job is still ours."""
+    async def _store_progress(self, job: Job, progress: tuple[str, int, int | None] | None) -> bool:
+        """Store progress, if any; return False if the job no longer belongs to this process."""
         if progress is not None:
             return await self._database.write(
-                runner_queries.progress, job.id, self._name, *progress
+                repository.update_progress, job.id, self._name, *progress
             )
-        found = await self._database.read(client_queries.many, [job.id])
+        found = await self._database.read(repository.find_many, [job.id])
         return bool(found) and found[0].runner == self._name

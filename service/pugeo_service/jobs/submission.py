@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a job is let in: room first, then its input on the disk, then its row."""
+"""Submission of a job: quota first, then its input on disk, then its row in the table."""
 
 import asyncio
 import functools
@@ -17,26 +17,26 @@ from starlette.requests import Request
 from pugeo_service.admission.admission import Admission
 from pugeo_service.http.body import receive_into
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import client_queries
+from pugeo_service.jobs import repository
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, new_id
-from pugeo_service.jobs.quota import Room
+from pugeo_service.jobs.quota import Quota
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 
-__all__ = ["Submission", "key_of"]
+__all__ = ["Submission", "idempotency_key"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _KEY = re.compile(r"[\x21-\x7e]([\x20-\x7e]{0,253}[\x21-\x7e])?")
 
 
-def key_of(request: Request) -> str | None:
+def idempotency_key(request: Request) -> str | None:
     """Return the ``Idempotency-Key`` of a request, if there is one.
 
     Raises:
-        ProblemError: 400, it is none.
+        ProblemError: 400, the key is malformed.
     """
     key = request.headers.get("idempotency-key")
     if key is not None and not _KEY.fullmatch(key):
@@ -46,49 +46,49 @@ def key_of(request: Request) -> str | None:
 
 
 class Submission:
-    """Takes jobs in.
+    """Accepts jobs.
 
     Args:
         settings: limits.
-        database: where jobs go.
-        files: where their inputs go.
-        arriving: the account of bodies on their way.
+        database: database of jobs.
+        files: files of jobs.
+        uploads: bounds the bodies that are being received.
     """
 
     def __init__(
-        self, settings: Settings, database: Database, files: JobFiles, arriving: Admission
+        self, settings: Settings, database: Database, files: JobFiles, uploads: Admission
     ) -> None:
         self._settings = settings
         self._database = database
         self._files = files
-        self._arriving = arriving
-        self._room = Room(settings.jobs_queue, settings.jobs_bytes)
+        self._uploads = uploads
+        self._quota = Quota(settings.jobs_queue, settings.jobs_bytes)
 
     async def __call__(
         self, request: Request, query: UpsampleQuery, answer: str, owner: str, key: str | None
     ) -> tuple[Job, bool]:
-        """Take a job in; when this returns, it will be done whatever happens to this process.
+        """Accept a job; once this returns, the job survives a crash of this process.
 
         Args:
-            request: its body is the input.
+            request: request whose body is the input.
             query: options.
             answer: format of the result.
             owner: name of the API key.
-            key: the client's own name of this request, or ``None``.
+            key: idempotency key of the client, or ``None``.
 
         Returns:
-            The job, and whether it is new: a request that was sent before gets the job of then.
+            The job, and True if it is new. A repeated request returns the earlier job.
 
         Raises:
-            ProblemError: as `receive_body`; 422 where the key names another request; 429 where the
-                owner has its share; 503 where there is no room for anybody, the disk is full,
-                or the database fails.
+            ProblemError: see `receive_body`; 422 the key belongs to another request, 429 the owner
+                has its share, 503 the capacity is exhausted, the disk is full, or the database
+                fails.
         """
-        if key is None or not await self._database.read(client_queries.by_key, owner, key):
-            self._room.check(owner, 0, *await self._database.read(client_queries.usages, owner))
+        if key is None or not await self._database.read(repository.find_by_key, owner, key):
+            self._quota.check(owner, 0, *await self._database.read(repository.owner_usage, owner))
         job_id = new_id()
-        with self._arriving.hold(owner) as hold, self._files.new_input(job_id) as file:
-            body = await receive_into(file, request, self._settings, hold)
+        with self._uploads.reserve(owner) as reservation, self._files.new_input(job_id) as file:
+            body = await receive_into(file, request, self._settings, reservation)
             with storage_problems():
                 await file.commit()
         options = query.model_dump(exclude={"format"})
@@ -108,55 +108,57 @@ class Submission:
             created_at=time.time(),
         )
         try:
-            kept = await self._insert(job)
+            stored = await self._insert(job)
         except Exception:
-            await self._withdraw_unless_there(job)
+            await self._remove_input_unless_stored(job)
             raise
-        if kept.id != job.id:
+        if stored.id != job.id:
             await asyncio.to_thread(self._files.remove_input, job.id)
-        return kept, kept.id == job.id
+        return stored, stored.id == job.id
 
     async def _insert(self, job: Job) -> Job:
-        """Insert a job, or return the one that its owner sent before under its key."""
+        """Insert a job, or return the earlier job of its owner with the same key."""
         try:
-            earlier = await self._database.write(_find_or_add, job, self._room)
+            earlier = await self._database.write(_find_or_add, job, self._quota)
         except IntegrityError:
-            # The same request, sent twice at once: the other one was faster.
-            earlier = await self._database.write(_find_or_add, job, self._room)
+            # The same request was sent twice at once, and the other one was inserted first.
+            earlier = await self._database.write(_find_or_add, job, self._quota)
         if earlier is not None and earlier.request_digest != job.request_digest:
             detail = (
-                "This Idempotency-Key was used for another request; a key names one body with "
-                "its options. Take a new key for each job."
+                "This Idempotency-Key was used for a request with another body or other options. "
+                "Use a new key for each job."
             )
             raise ProblemError(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
         return earlier or job
 
-    async def _withdraw_unless_there(self, job: Job) -> None:
-        """Remove the input of a job that was not let in.
+    async def _remove_input_unless_stored(self, job: Job) -> None:
+        """Remove the input of a job that was not inserted.
 
-        A commit that failed may have happened all the same; then the job is one, and keeps its
-        input. Where not even that can be found out, the sweep decides later.
+        A failed commit may have succeeded after all, and then the input is needed. If the database
+        cannot be read, maintenance decides later.
         """
         try:
-            there = await self._database.read(client_queries.many, [job.id])
+            stored = await self._database.read(repository.find_many, [job.id])
         except ProblemError:
-            _log.warning("an input may be left behind until the next sweep", job=job.id)
+            _log.warning(
+                "input of a refused job may remain until maintenance removes it", job=job.id
+            )
             return
-        if not there:
+        if not stored:
             await asyncio.to_thread(self._files.remove_input, job.id)
 
 
-def _find_or_add(connection: Connection, job: Job, room: Room) -> Job | None:
-    """Return the job that has its key already, or else insert it where there is room."""
+def _find_or_add(connection: Connection, job: Job, quota: Quota) -> Job | None:
+    """Return an earlier job with the same key, or insert the job if the quota allows it."""
     if job.idempotency_key is not None:
-        earlier = client_queries.by_key(connection, job.owner, job.idempotency_key)
+        earlier = repository.find_by_key(connection, job.owner, job.idempotency_key)
         if earlier is not None:
             return earlier
-    client_queries.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
+    repository.add(connection, job, functools.partial(quota.check, job.owner, job.input_bytes))
     return None
 
 
 def _digest(options: dict[str, Any], answer: str, format: str | None, sha256: str) -> str:
-    """Return what two requests share where they are the same."""
+    """Return a digest that equal requests share."""
     text = json.dumps([options, answer, format, sha256], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

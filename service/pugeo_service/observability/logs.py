@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs: one event a line, JSON for machines and colours for a terminal."""
+"""Configuration of logs: one event per line, as JSON or for a terminal."""
 
 import logging
 import sys
@@ -16,7 +16,7 @@ def configure(log_format: str, level: str) -> None:
     """Send structlog's and the standard library's logs to stderr in one form.
 
     Args:
-        log_format: ``json``, ``console``, or ``auto``: console where stderr is a terminal.
+        log_format: ``json``, ``console``, or ``auto``, which is console if stderr is a terminal.
         level: ``debug``, ``info``, ``warning`` or ``error``.
     """
     if log_format == "auto":
@@ -31,7 +31,7 @@ def configure(log_format: str, level: str) -> None:
         add_trace,
     ]
     last: list[Any]
-    # Frames and messages, and never the values of variables: those are somebody's points.
+    # Tracebacks without values of variables, which may contain data of users.
     if log_format == "json":
         tracebacks = structlog.tracebacks.ExceptionDictTransformer(show_locals=False)
         render = structlog.processors.ExceptionRenderer(tracebacks)
@@ -55,7 +55,7 @@ def configure(log_format: str, level: str) -> None:
     root = logging.getLogger()
     root.handlers = [handler]
     root.setLevel(level.upper())
-    # Their own handlers would print every line twice, in a form of their own.
+    # Handlers of these libraries would print each line a second time.
     for name in ("uvicorn", "uvicorn.error", "uvicorn.access", "distributed"):
         logger = logging.getLogger(name)
         logger.handlers = []
@@ -63,6 +63,6 @@ def configure(log_format: str, level: str) -> None:
 
 
 def _without_colors(_logger: Any, _method: str, event: dict[str, Any]) -> dict[str, Any]:
-    """Drop uvicorn's second copy of its messages, painted for a terminal."""
+    """Remove uvicorn's copy of the message with colours."""
     event.pop("color_message", None)
     return event

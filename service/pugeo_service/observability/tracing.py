@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Traces for OpenTelemetry, where ``OTEL_EXPORTER_OTLP_ENDPOINT`` says where they go.
+"""OpenTelemetry traces, sent to ``OTEL_EXPORTER_OTLP_ENDPOINT``.
 
-FastAPI makes the span of each request, child of the caller's ``traceparent``; here are the spans
-of its stages. Without that variable every call below ends in OpenTelemetry's own empty
-implementation, and neither its SDK nor its exporter is imported.
+FastAPI makes the span of each request as a child of the caller's ``traceparent``; this module adds
+the spans of its stages. Without that variable OpenTelemetry's API does nothing, and neither its SDK
+nor its exporter is imported.
 """
 
 import importlib.util
@@ -29,21 +29,21 @@ def _wanted() -> bool:
 
 
 def missing_extra() -> str | None:
-    """Return what to install where traces are asked for and cannot be sent, else ``None``."""
+    """Return an installation hint if traces are configured but cannot be sent, else ``None``."""
     if _wanted() and importlib.util.find_spec("opentelemetry.exporter") is None:
-        return "OTEL_EXPORTER_OTLP_ENDPOINT is set: sending traces needs pip install 'pugeo[otel]'"
+        return "OTEL_EXPORTER_OTLP_ENDPOINT is set; to send traces, pip install 'pugeo[otel]'"
     return None
 
 
 def configuration() -> TelemetryConfig:
-    """Return what FastAPI is to do: spans of requests; metrics and logs have other ways out."""
+    """Return FastAPI's configuration: spans of requests, but neither its metrics nor its logs."""
     if _wanted():
         os.environ.setdefault("OTEL_SERVICE_NAME", "pugeo")
     return TelemetryConfig(
         auto_configure=_wanted(),
         tracing=True,
         metrics=False,
-        # Its records of exceptions hold their messages, and so perhaps somebody's data.
+        # Records of exceptions contain their messages, which may quote data of users.
         logs=False,
         operation_spans=False,
         exclude=_is_untraced,
@@ -62,7 +62,7 @@ def tag(**attributes: str | int) -> None:
 
 
 def add_trace(_logger: Any, _method: str, event: dict[str, Any]) -> dict[str, Any]:
-    """Name the trace in a log line; a processor of structlog's."""
+    """Add the trace id to a log event; a structlog processor."""
     context = trace.get_current_span().get_span_context()
     if context.is_valid:
         event["trace_id"] = trace.format_trace_id(context.trace_id)
@@ -70,21 +70,21 @@ def add_trace(_logger: Any, _method: str, event: dict[str, Any]) -> dict[str, An
 
 
 class StageSpans:
-    """Makes a span of each stage of a run, children of the span that is current at the end."""
+    """Spans of the stages of a run, as children of the current span."""
 
     def __init__(self) -> None:
         self._begun: list[tuple[str, int]] = []
 
     def on_stage(self, stage: str) -> None:
-        """Note that a stage begins, and with it that the one before has ended."""
+        """Record the begin of a stage, which is the end of the previous one."""
         self._begun.append((stage, time.time_ns()))
 
     def finish(self, seconds: Mapping[str, float] | None = None) -> None:
         """Make the spans.
 
         Args:
-            seconds: of those stages that only the outcome tells of: ``queue`` and ``read`` come
-                before ``prepare``; ``None`` where there is no outcome.
+            seconds: seconds of stages from the result of the run, for ``queue`` and ``read``,
+                which precede ``prepare`` without a call of their own; ``None`` after an error.
         """
         for name, start, end in self._intervals(seconds or {}, time.time_ns()):
             _tracer.start_span(name, start_time=start).end(end)

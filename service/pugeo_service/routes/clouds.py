@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How OpenAPI describes a cloud that goes in, and one that comes out."""
+"""OpenAPI descriptions of request bodies and of response headers."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ _POINTS = {
 BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "description": "A point cloud; where the type is unspecific, the content decides.",
+        "description": "A point cloud; if the media type is unspecific, the content decides.",
         "content": {
             "multipart/form-data": {
                 "schema": {
@@ -45,15 +45,15 @@ BODY: dict[str, Any] = {
 HEADERS = {
     name: {"description": text, "schema": {"type": kind}}
     for name, kind, text in (
-        ("X-Request-ID", "string", "the request's own id, or a new one"),
+        ("X-Request-ID", "string", "id of the request, given by the client or random"),
         ("Pugeo-Model-Version", "string", "version of the model"),
-        ("Pugeo-Model-Sha256", "string", "sha256 of its weights"),
+        ("Pugeo-Model-Sha256", "string", "sha256 of the weights"),
         ("Pugeo-Points-In", "integer", "points read"),
         ("Pugeo-Points-Out", "integer", "points returned"),
-        ("Pugeo-Dropped-Non-Finite", "integer", "points dropped for NaN or infinity"),
-        ("Pugeo-Dropped-Duplicate", "integer", "points dropped for being there twice"),
-        ("Pugeo-Notes", "string", "JSON array of sentences about guesses that were made"),
-        ("Preference-Applied", "string", "wait=N where Prefer asked for it"),
+        ("Pugeo-Dropped-Non-Finite", "integer", "points dropped because of NaN or infinity"),
+        ("Pugeo-Dropped-Duplicate", "integer", "points dropped as duplicates"),
+        ("Pugeo-Notes", "string", "JSON array of sentences about assumptions"),
+        ("Preference-Applied", "string", "wait=N if Prefer contains it"),
         ("Server-Timing", "string", "milliseconds by stage"),
     )
 }

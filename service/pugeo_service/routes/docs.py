@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``GET /docs``: the interactive page of the API, with nothing from anybody else's server."""
+"""``GET /docs``: interactive description of the API, without files from the internet."""
 
 import importlib.util
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-# Addresses without a leading slash: the page also works behind a proxy's prefix.
+# Relative addresses, so that the page works behind a proxy with a path prefix.
 _PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -48,7 +48,7 @@ class _Asset:
 
 
 def _bundled() -> Path:
-    """Return the folder of Swagger UI, without importing the package that carries it."""
+    """Return the folder of Swagger UI without importing its package."""
     found = importlib.util.find_spec("fastapi_standalone_docs")
     assert found is not None
     assert found.origin is not None
@@ -74,7 +74,7 @@ async def asset(name: str) -> Response:
     found = _ASSETS.get(name)
     if found is None:
         raise HTTPException(404)
-    # An hour, for the names do not change with the content.
+    # One hour, because the names do not depend on the content.
     headers = {"Cache-Control": "public, max-age=3600"}
     if found.file is None:
         return Response(_START, media_type=found.media_type, headers=headers)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Probes. They ask no worker anything, so a busy engine cannot make the service look dead."""
+"""Probes. They do not call the workers, so a busy engine does not make them fail."""
 
 from typing import Annotated, Literal
 
@@ -15,7 +15,7 @@ __all__ = ["router"]
 router = APIRouter(tags=["health"])
 _WHY = {
     "draining": "The service is shutting down.",
-    "no_worker": "No worker is warm yet.",
+    "no_worker": "No worker is ready yet.",
     "queue_full": "The queue is full.",
 }
 
@@ -27,22 +27,23 @@ class Alive(BaseModel):
 
 
 class Ready(BaseModel):
-    """A request would be served now."""
+    """A request would be admitted now."""
 
     status: Literal["ready"] = "ready"
 
 
 class Health(BaseModel):
-    """The state of the service in numbers."""
+    """State of the service."""
 
     status: Literal["ready", "not_ready"]
     reason: Annotated[
-        Literal["draining", "no_worker", "queue_full"] | None, Field(description="why not ready")
+        Literal["draining", "no_worker", "queue_full"] | None,
+        Field(description="reason if not ready"),
     ]
     version: str
     model: str
-    workers: Annotated[int, Field(description="worker processes that are warm")]
-    workers_expected: Annotated[int | None, Field(description="null where they run elsewhere")]
+    workers: Annotated[int, Field(description="worker processes that are ready")]
+    workers_expected: Annotated[int | None, Field(description="null for an external cluster")]
     queue_patches: int
     queue_capacity_patches: int
     queue_requests: int
@@ -50,13 +51,13 @@ class Health(BaseModel):
 
 @router.get("/health/live", operation_id="health_live")
 async def live() -> Alive:
-    """Say that the process answers; restart it where it does not."""
+    """Confirm that the process answers; an orchestrator restarts it otherwise."""
     return Alive()
 
 
 @router.get("/health/ready", operation_id="health_ready", responses=problem_responses(503))
 async def ready(service: ServiceDep) -> Ready:
-    """Say whether to send requests here: a warm worker, room in the queue, not shutting down."""
+    """Confirm that requests are admitted: a worker is ready, the queue has room, no shutdown."""
     reason = service.not_ready_because
     if reason is not None:
         raise ProblemError(503, reason, _WHY[reason], retry_after=2)
@@ -65,7 +66,7 @@ async def ready(service: ServiceDep) -> Ready:
 
 @router.get("/health", operation_id="health")
 async def health(service: ServiceDep) -> Health:
-    """Say how the service is, in numbers; always 200."""
+    """Return the state of the service; the status is always 200."""
     status, admission = service.engine.status, service.admission
     reason = service.not_ready_because
     return Health(

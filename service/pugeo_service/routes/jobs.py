@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/jobs``: clouds to make denser without waiting on the line."""
+"""``/jobs``: upsampling in the background."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -10,17 +10,16 @@ from fastapi.sse import EventSourceResponse
 
 from pugeo_model.errors import CloudError
 from pugeo_service.container import ServiceDep
-from pugeo_service.http.negotiation import OFFERS
+from pugeo_service.http.negotiation import OUTPUT_FORMATS, negotiate
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs.api_models import JobsView, JobView
+from pugeo_service.jobs.api_models import JobPage, JobResponse
 from pugeo_service.jobs.events import stream
 from pugeo_service.jobs.models import State
-from pugeo_service.jobs.result import check_there, result_answer
-from pugeo_service.jobs.submission import key_of
+from pugeo_service.jobs.result import check_available, result_response
+from pugeo_service.jobs.submission import idempotency_key
 from pugeo_service.keys import owner_of
 from pugeo_service.problems import ProblemError, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
-from pugeo_service.runs import offer_of
 
 __all__ = ["router"]
 
@@ -31,16 +30,16 @@ _POLL_S = "1"
 _LOCATION = {"Location": {"description": "the job", "schema": {"type": "string"}}}
 _RESULT: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "The dense cloud, in the format asked for.",
+        "description": "The dense cloud in the requested format.",
         "headers": {
             **HEADERS,
             "ETag": {"description": "sha256 of the bytes", "schema": {"type": "string"}},
         },
-        "content": {offer.media_type: BINARY for offer in OFFERS.values()},
+        "content": {output.media_type: BINARY for output in OUTPUT_FORMATS.values()},
     },
-    206: {"description": "The part of it that Range asks for."},
-    304: {"description": "The client has it: If-None-Match names its ETag."},
-    # Those of a job that failed are what /upsample would have answered.
+    206: {"description": "The part that Range requests."},
+    304: {"description": "Not modified: If-None-Match contains the ETag."},
+    # A failed job is reported with the status that /upsample would have.
     **problem_responses(400, 404, 409, 410, 413, 415, 416, 422, 500, 503, 504),
 }
 
@@ -50,10 +49,10 @@ _RESULT: dict[int | str, dict[str, Any]] = {
     operation_id="submit_job",
     status_code=202,
     responses={
-        202: {"description": "Accepted: it will be done, also after a restart.",
+        202: {"description": "Accepted; the job survives a restart of the service.",
               "headers": _LOCATION},
-        200: {"description": "Sent before under this Idempotency-Key, and finished.",
-              "model": JobView, "headers": _LOCATION},
+        200: {"description": "A job with this Idempotency-Key is already finished.",
+              "model": JobResponse, "headers": _LOCATION},
         **problem_responses(400, 401, 406, 408, 413, 415, 422, 429, 500, 503),
     },
     openapi_extra=BODY,
@@ -67,15 +66,16 @@ async def submit(
         str | None,
         Header(
             alias="Idempotency-Key",
-            description="The client's own name of this request: sent again, it is the same job.",
+            description="Name of this request, given by the client; a repeated request returns "
+            "the same job.",
         ),
     ] = None,
-) -> JobView:
+) -> JobResponse:
     """Accept a point cloud to upsample; the body and the options are those of /upsample."""
     try:
-        offer = offer_of(request.headers, query.format)
-        owner, key = owner_of(request), key_of(request)
-        job, _ = await service.jobs.submit(request, query, offer.name, owner, key)
+        output = negotiate(request.headers, query.format)
+        owner, key = owner_of(request), idempotency_key(request)
+        job, _ = await service.jobs.submit(request, query, output.name, owner, key)
     except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
@@ -83,33 +83,33 @@ async def submit(
     response.headers["Location"] = f"/jobs/{job.id}"
     if not job.finished:
         response.headers["Retry-After"] = _POLL_S
-    return JobView.of(job)
+    return JobResponse.from_job(job)
 
 
 @router.get("", operation_id="list_jobs", responses=problem_responses(401, 422, 503))
 async def list_jobs(
     request: Request,
     service: ServiceDep,
-    state: Annotated[State | None, Query(description="only those in this state")] = None,
-    limit: Annotated[int, Query(ge=1, le=100, description="jobs on a page")] = 20,
+    state: Annotated[State | None, Query(description="only jobs in this state")] = None,
+    limit: Annotated[int, Query(ge=1, le=100, description="number of jobs per page")] = 20,
     cursor: Annotated[
-        str | None, Query(max_length=64, description="`next` of the page before")
+        str | None, Query(max_length=64, description="`next` of the previous page")
     ] = None,
-) -> JobsView:
+) -> JobPage:
     """List jobs, newest first."""
     jobs, following = await service.jobs.page(owner_of(request), state, cursor, limit)
-    return JobsView(jobs=[JobView.of(job) for job in jobs], next=following)
+    return JobPage(jobs=[JobResponse.from_job(job) for job in jobs], next=following)
 
 
 @router.get("/{job_id}", operation_id="get_job", responses=problem_responses(401, 404, 503))
 async def get_job(
     job_id: JobId, request: Request, response: Response, service: ServiceDep
-) -> JobView:
-    """Tell the state of a job, how far it is, and what came of it."""
+) -> JobResponse:
+    """Return state, progress and result of a job."""
     job = await service.jobs.get(job_id, owner_of(request))
     if not job.finished:
         response.headers["Retry-After"] = _POLL_S
-    return JobView.of(job)
+    return JobResponse.from_job(job)
 
 
 @router.get(
@@ -118,7 +118,7 @@ async def get_job(
     response_class=Response,
     responses={
         200: {
-            "description": "Events `state`, `progress` and, last of all, `end`.",
+            "description": "Events `state`, `progress` and, at the end, `end`.",
             "content": {"text/event-stream": {}},
         },
         **problem_responses(401, 404, 503),
@@ -130,26 +130,26 @@ async def events(
     service: ServiceDep,
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID")] = None,
 ) -> Response:
-    """Tell every change of a job until its end, as server-sent events."""
+    """Send each change of a job until its end, as server-sent events."""
     job = await service.jobs.get(job_id, owner_of(request))
-    service.jobs.watch.check()
+    service.jobs.changes.check_capacity()
 
-    async def told() -> AsyncIterator[bytes]:
-        with service.jobs.watch.following(job_id) as changes:
+    async def body() -> AsyncIterator[bytes]:
+        with service.jobs.changes.subscribe(job_id) as changes:
             async for event in stream(job, changes, last_event_id):
                 yield event
 
-    return EventSourceResponse(told(), headers={"Cache-Control": "no-store"})
+    return EventSourceResponse(body(), headers={"Cache-Control": "no-store"})
 
 
 async def result(job_id: JobId, request: Request, service: ServiceDep) -> Response:
-    """Return the dense cloud that a job made; ETag, Range and If-Range are honoured."""
+    """Return the dense cloud of a job; supports ETag, Range and If-Range."""
     job = await service.jobs.get(job_id, owner_of(request))
-    check_there(job)
-    return await asyncio.to_thread(result_answer, request, job, service.jobs.files.result(job_id))
+    check_available(job)
+    return await asyncio.to_thread(result_response, request, job, service.jobs.files.result(job_id))
 
 
-# HEAD for those who want to know the size first, such as download managers.
+# HEAD returns the size, which download managers need.
 router.get(
     "/{job_id}/result", operation_id="job_result", response_class=Response, responses=_RESULT
 )(result)
@@ -157,6 +157,6 @@ router.head("/{job_id}/result", include_in_schema=False)(result)
 
 
 @router.delete("/{job_id}", operation_id="delete_job", responses=problem_responses(401, 404, 503))
-async def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> JobView:
-    """Cancel a job that is not finished, or delete the result of one that is; twice is once."""
-    return JobView.of(await service.jobs.withdraw(job_id, owner_of(request)))
+async def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> JobResponse:
+    """Cancel an active job, or delete the result of a finished one. Idempotent."""
+    return JobResponse.from_job(await service.jobs.withdraw(job_id, owner_of(request)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``GET /models``: what the service runs and how good it is."""
+"""``GET /models``: the card of the model, with its measured quality."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ router = APIRouter(prefix="/models", tags=["models"])
 
 @router.get("", operation_id="list_models")
 async def list_models(service: ServiceDep) -> dict[str, list[dict[str, Any]]]:
-    """List the cards of the models that requests are served with."""
+    """List the cards of all models of this service."""
     return {"models": [service.card]}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client is told when the disk does not do its part."""
+"""Problems that report errors of the disk to clients."""
 
 import errno
 from collections.abc import Iterator
@@ -17,21 +17,21 @@ _RETRY_S = 30.0
 
 
 def storage_problem(error: OSError) -> ProblemError:
-    """Return what a client is told of an error of the disk; the log gets its cause."""
-    _log.error("the disk fails", reason=str(error))
+    """Return the problem for an error of the disk; the cause is logged."""
+    _log.error("disk error", reason=str(error))
     if error.errno in _FULL:
-        detail = "The service's disk is full; there may be room again later."
+        detail = "The disk of the service is full; try again after the time in Retry-After."
         return ProblemError(503, "storage_full", detail, retry_after=_RETRY_S)
-    detail = "The service cannot use its disk at the moment."
+    detail = "The disk of the service fails; try again after the time in Retry-After."
     return ProblemError(503, "storage_failed", detail, retry_after=_RETRY_S)
 
 
 @contextmanager
 def storage_problems() -> Iterator[None]:
-    """Turn errors of the disk within the block into problems.
+    """Raise errors of the disk within the block as problems.
 
     Raises:
-        ProblemError: 503 ``storage_full`` or ``storage_failed``; the log has the file and the cause.
+        ProblemError: 503 ``storage_full`` or ``storage_failed``; file and cause are logged.
     """
     try:
         yield

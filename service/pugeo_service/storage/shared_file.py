@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file of one process that others of the same machine write into.
+"""A file of one process that other processes of the same machine write into.
 
-What goes through a connection is encrypted in records of 16 kB, each of which costs both sides a
-turn of their event loops. On one machine the file that an answer goes to can be had directly.
+Bytes sent through a connection are encrypted in records of 16 kB, each of which costs both sides an
+iteration of their event loops. On the same machine a worker writes an answer to the file directly.
 """
 
 import os
@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 
 __all__ = ["NOWHERE", "SharedFile", "shared_file"]
 
-_TOKEN = 16  # bytes at the start of the file that tell it from any other
+_TOKEN = 16  # random bytes at the start of the file, which identify it
 
 
 @dataclass(frozen=True)
 class SharedFile:
-    """How to reach a file that has no name.
+    """Reference to a file without a name.
 
     Attributes:
-        path: through the process that has it open. It leads nowhere on another machine, or where
-            there is no ``/proc``, and elsewhere once that process has closed it.
-        token: what the file begins with: numbers of processes, files and inodes come again.
+        path: ``/proc`` path of the file through the process that has it open. On another machine,
+            or after that process has closed the file, it names no file or another one.
+        token: first bytes of the file, checked before writing, because numbers of processes,
+            descriptors and inodes are reused.
     """
 
     path: str
@@ -36,17 +37,17 @@ class SharedFile:
 
     @property
     def start(self) -> int:
-        """Where in the file the shared bytes begin."""
+        """Offset of the shared bytes in the file."""
         return len(self.token)
 
     def put(self, data: NDArray[np.uint8], offset: int) -> bool:
-        """Write bytes behind the first ``offset`` shared ones.
+        """Write bytes after the first ``offset`` shared bytes.
 
         Returns:
-            Whether they are there. What was in their place may be lost either way.
+            True if all were written. If not, previous bytes at that place may be overwritten.
         """
         try:
-            # Neither made where there is none, nor waited for where it is something else.
+            # O_NONBLOCK: the path may by now name a pipe without a reader.
             descriptor = os.open(self.path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError:
             return False
@@ -58,7 +59,7 @@ class SharedFile:
                 written = os.pwrite(descriptor, rest, at)
                 rest, at = rest[written:], at + written
         except OSError:
-            # A disk that is full tells the process whose file it is, as soon as that one writes.
+            # The process that owns the file writes the bytes then, and reports a full disk.
             return False
         finally:
             os.close(descriptor)
@@ -66,19 +67,19 @@ class SharedFile:
 
 
 NOWHERE = SharedFile("", b"")
-"""Of no file: whatever is to be put there is not."""
+"""Refers to no file; `SharedFile.put` returns False."""
 
 
 def shared_file(folder: Path) -> tuple[IO[bytes], SharedFile]:
-    """Make a file without a name in a folder; what goes into it comes behind what is there now.
+    """Make a file without a name in a folder; shared bytes follow its token.
 
     Raises:
-        OSError: the disk takes none.
+        OSError: the file cannot be made.
     """
     file = TemporaryFile(dir=folder)  # noqa: SIM115
     try:
         token = secrets.token_bytes(_TOKEN)
-        # By the file and not by its number, which may be another's once this one is closed.
+        # Not os.write by number: after a close the number may belong to another file.
         file.write(token)
         file.flush()
         return file, SharedFile(f"/proc/{os.getpid()}/fd/{file.fileno()}", token)

@@ -1,98 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes on their way in or out, in memory or in an unnamed file."""
+"""Temporary storage of a body or an answer, in memory or in an unnamed file."""
 
 import asyncio
 import os
-from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_service.storage.buffered_writer import BUFFER_BYTES, BufferedWriter
 from pugeo_service.storage.shared_file import NOWHERE, SharedFile, shared_file
 
-__all__ = ["Sink", "Spool"]
-
-_IN_MEMORY = 1 << 20
+__all__ = ["Spool"]
 
 
-class Sink(ABC):
-    """Takes bytes as they come and hands them on a MiB at a time, in a thread.
-
-    Attributes:
-        size: bytes taken.
-    """
-
-    def __init__(self) -> None:
-        self._pending = bytearray()
-        self.size = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    async def write(self, data: bytes | memoryview) -> None:
-        """Append bytes."""
-        self.size += len(data)
-        self._pending += data
-        # One thread hop for each MiB and not for each 64 KiB that the network delivers.
-        if len(self._pending) >= _IN_MEMORY:
-            await self.flush()
-
-    def close(self) -> None:
-        """Give back what is held; twice is once."""
-        self._pending = bytearray()
-
-    async def flush(self) -> None:
-        """Put what is held back where it belongs."""
-        if self._pending:
-            data, self._pending = self._pending, bytearray()
-            await asyncio.to_thread(self._store, data)
-
-    @abstractmethod
-    def _store(self, data: bytearray) -> None:
-        """Put bytes where they belong; runs in a thread."""
-
-
-class Spool(Sink):
+class Spool(BufferedWriter):
     """A write-once, read-many buffer: up to 1 MiB in memory, unless it is shared.
 
-    The file has no name, so it vanishes with the process whatever happens. Once the bytes are
-    on disk, every access runs in a thread: a slow disk must not stop the event loop.
+    The file has no name, so the system removes it with the process. Every access to the disk runs
+    in a thread, because a slow disk must not block the event loop.
+
+    Args:
+        folder: for the file.
     """
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self._folder = folder
-        self._file: IO[bytes] = SpooledTemporaryFile(max_size=_IN_MEMORY, dir=str(folder))  # noqa: SIM115
+        self._file: IO[bytes] = SpooledTemporaryFile(max_size=BUFFER_BYTES, dir=str(folder))  # noqa: SIM115
         self._start = 0
 
     async def share(self) -> SharedFile:
-        """Let other processes write into a file, before anything is written here; see `take`.
+        """Let other processes write into the file; call it before anything is written.
 
-        A disk that has no room for one is no error yet: a small answer needs none.
+        If the file cannot be made, the result refers to no file; a small answer needs none.
         """
         sharing = asyncio.create_task(asyncio.to_thread(self._share))
         try:
             return await asyncio.shield(sharing)
         finally:
-            # Whoever gives up closes the file next, which must be there by then.
+            # After a cancellation the caller closes the file, which must exist by then.
             await asyncio.wait({sharing})
 
     async def take(self, data: bytes | int) -> int:
-        """Append bytes, or as many as another process has put behind the last; return how many."""
+        """Append bytes, or count the bytes that another process has appended; return the number."""
         if not isinstance(data, int):
             await self.write(data)
             return len(data)
@@ -102,11 +57,11 @@ class Spool(Sink):
         return data
 
     async def read(self) -> NDArray[np.uint8]:
-        """Return all bytes, uint8 ``(size,)``, as one buffer in memory."""
+        """Return all bytes, uint8 ``(size,)``."""
         await self.flush()
         return await asyncio.to_thread(self._read_all)
 
-    async def chunks(self, size: int = _IN_MEMORY) -> AsyncIterator[bytes]:
+    async def chunks(self, size: int = BUFFER_BYTES) -> AsyncIterator[bytes]:
         """Yield all bytes in order, ``size`` at a time."""
         await self.flush()
         await asyncio.to_thread(self._file.seek, self._start)
@@ -116,15 +71,15 @@ class Spool(Sink):
             yield data
 
     def close(self) -> None:
-        """Give the memory and the disk back."""
+        """Close and delete the file. Idempotent."""
         super().close()
-        # What a full disk did not take is tried once more; nobody wants it any longer.
+        # Closing writes buffered bytes again, which a full disk refuses again.
         with suppress(OSError):
             self._file.close()
 
     def _store(self, data: bytearray) -> None:
         self._file.write(data)
-        # To the disk, which may be full, and not to a buffer that is written out some time.
+        # At once, so that a full disk raises here and not at a later write.
         self._file.flush()
 
     def _share(self) -> SharedFile:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages and a preload for workers of tests: no model, and stages that misbehave on demand."""
+"""Stages and a preload for workers of tests, without the model."""
 
 import os
 import time
@@ -17,7 +17,7 @@ def add(left: int, right: Any) -> int:
 
 @quick
 def add_quickly(left: int, right: int) -> int:
-    """Add numbers beside a stage that computes."""
+    """Add numbers as a quick stage."""
     return left + right
 
 
@@ -28,22 +28,42 @@ def refuse() -> None:
     raise MalformedFileError("cut short", code="truncated", expected=7)
 
 
-def nap(seconds: float, path: str, name: str) -> str:
-    """Sleep, and note the begin."""
+def log(path: str, name: str) -> str:
+    """Append a name to a file and return it."""
     with Path(path).open("a") as file:
         file.write(f"{name}\n")
+    return name
+
+
+def hold(gate: str, path: str, name: str) -> str:
+    """Log a name, then wait until the file ``gate`` exists."""
+    log(path, name)
+    while not Path(gate).exists():
+        time.sleep(0.01)
+    return name
+
+
+@quick
+def open_gate(gate: str) -> None:
+    """Make the file ``gate``, beside a stage that computes."""
+    Path(gate).touch()
+
+
+def nap(seconds: float, path: str, name: str) -> str:
+    """Log a name, then sleep."""
+    log(path, name)
     time.sleep(seconds)
     return name
 
 
 def die(seconds: float) -> None:
-    """End the process, as a lack of memory would."""
+    """End the process, as too little memory would."""
     time.sleep(seconds)
     os._exit(9)
 
 
 def pid() -> int:
-    """Return the number of the worker's process."""
+    """Return the id of the worker process."""
     return os.getpid()
 
 

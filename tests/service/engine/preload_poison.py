@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The preload of the service, with one body that no worker survives."""
+"""The preload of the service, with one body that ends the worker process."""
 
 import os
 import time
@@ -13,7 +13,7 @@ _run_stage = worker_module.run_stage
 
 
 def run_stage(stage: Any, seconds: float, *args: Any) -> Any:
-    """Run a stage; end the process at the poisonous body."""
+    """Run a stage; end the process at that body."""
     if stage.__name__ == "prepare" and args[0].tobytes().startswith(POISON):
         time.sleep(0.3)
         os._exit(9)
@@ -21,6 +21,6 @@ def run_stage(stage: Any, seconds: float, *args: Any) -> Any:
 
 
 def dask_setup(worker: object) -> None:
-    """Warm the worker as the service does, then set the trap."""
+    """Warm the worker as the service does, then replace `run_stage`."""
     worker_module.dask_setup(worker)
     worker_module.run_stage = run_stage

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pool that does no work, and requests that go their way through it."""
+"""A backend that records tasks without running them, and requests that use it."""
 
 import asyncio
 from collections.abc import Callable, Iterable
@@ -32,7 +32,7 @@ REQUEST = self_test_request("standard", deadline_s=60.0)
 
 @dataclass(eq=False)
 class Handle:
-    """A task as the pool got it."""
+    """A submitted task."""
 
     stage: str
     args: tuple[Any, ...]
@@ -44,7 +44,7 @@ class Handle:
 
 @dataclass
 class Recorder:
-    """A pool that does no work but notes what it is asked."""
+    """Backend that records tasks and returns fixed descriptions."""
 
     patches: int
     seconds: Callable[[Handle], float] = lambda _: 0.0
@@ -60,7 +60,7 @@ class Recorder:
     retried_patches = 0
 
     async def start(self) -> None:
-        """There is nothing to start, or to stop."""
+        """Do nothing."""
 
     stop = start
 
@@ -121,7 +121,7 @@ class Recorder:
     cancel = release
 
     def of(self, stage: str) -> list[Handle]:
-        """The tasks of one stage, in the request they were submitted."""
+        """The tasks of one stage in the order of submission."""
         return [handle for handle in self.handles if handle.stage == stage]
 
 
@@ -134,7 +134,7 @@ def run(
     size: int = 10,
     policy: SchedulingPolicy | None = None,
 ) -> tuple[RunResult, bytes]:
-    """Run the request on the pool; return the outcome and its bytes."""
+    """Run a request on the recorder; return the result and its bytes."""
 
     async def whole() -> tuple[RunResult, bytes]:
         orchestrator = Orchestrator(

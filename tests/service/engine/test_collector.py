@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of an answer arrive whole and in order, whoever puts them where they belong."""
+"""Collection of the bytes of an answer, by file or by connection."""
 
 import asyncio
 import errno
@@ -16,19 +16,21 @@ from pugeo_service.storage.spool import Spool
 
 
 def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
-    """Where rows can follow each other nothing is joined: tiles agree, and each is written."""
+    """Formats of rows are written tile by tile and not assembled."""
     live: list[int] = []
 
     class Watched(Recorder):
         async def fetch(self, handle: Handle) -> Any:
             if handle.stage == "read_chunk":
-                await asyncio.sleep(0.05)
+                # All other tasks go on as far as they can.
+                for _ in range(100):
+                    await asyncio.sleep(0)
                 live.append(sum(each.live for each in self.of("densify")))
             return await super().fetch(handle)
 
     pool = Watched(9, tiles=5, by_rows=True)
     outcome, data = run(pool, tmp_path)
-    # Of what is on its way no tile is kept, nor of those that both workers wrote meanwhile.
+    # Tiles are dropped once they are written, also those that are written meanwhile.
     assert live == [2, 2, 2, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
     assert data == 5 * b"012"
     assert not pool.of("assemble")
@@ -45,7 +47,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("by_rows", [False, True])
 def test_workers_of_this_machine_write_the_answer(tmp_path: Path, by_rows: bool) -> None:
-    """Into the file, behind what is there; now and then one cannot, and sends its bytes."""
+    """Local workers write into the file; bytes of a worker that cannot are sent."""
 
     class Near(Recorder):
         def chunk(self, start: int, file: SharedFile, offset: int) -> bytes | int:
@@ -60,7 +62,7 @@ def test_workers_of_this_machine_write_the_answer(tmp_path: Path, by_rows: bool)
 
 @pytest.mark.parametrize("again", [b"", b"longer than it was"])
 def test_a_part_that_changed(tmp_path: Path, again: bytes) -> None:
-    """It was lost with its worker; another, of another kind, wrote other numbers."""
+    """A part that was computed again with another length is an error."""
 
     class Changed(Recorder):
         def chunk(self, start: int, _file: SharedFile, _offset: int) -> bytes | int:
@@ -73,7 +75,7 @@ def test_a_part_that_changed(tmp_path: Path, again: bytes) -> None:
 
 
 def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No room for the answer, however small its last piece, shows before the answer begins."""
+    """A full disk is reported before the answer begins, also for its last bytes."""
 
     def store(_spool: Spool, _data: bytearray) -> None:
         raise OSError(errno.ENOSPC, "full")

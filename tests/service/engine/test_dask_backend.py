@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine relies on in Dask, with real processes and without the model."""
+"""The Dask backend with real worker processes, without the model."""
 
 import asyncio
 import gc
 import importlib
-import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -64,13 +63,19 @@ def submit(
     )
 
 
+def known(backend: DaskBackend, handles: list[Any]) -> int:
+    """Number of these tasks that the scheduler has."""
+    tasks = backend._cluster.scheduler.tasks
+    return sum(handle.key in tasks for handle in handles)
+
+
 async def warm(backend: DaskBackend, count: int) -> None:
     """Wait until there are so many workers."""
     await until(lambda: backend.warm_workers == count)
 
 
-async def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait until something is true."""
+async def until(check: Callable[[], bool], seconds: float = 100.0) -> None:
+    """Wait until a condition holds."""
     for _ in range(int(seconds / 0.05)):
         if check():
             return
@@ -79,7 +84,7 @@ async def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
 
 
 def test_results_feed_tasks(play: Play) -> None:
-    """Handles, and lists of handles, arrive as values; released ones still feed what waits."""
+    """Handles and lists of handles are replaced by results, also after their release."""
 
     async def scenario(backend: DaskBackend) -> None:
         one = submit(backend, light.add, 1, 0)
@@ -92,7 +97,7 @@ def test_results_feed_tasks(play: Play) -> None:
 
 
 def test_errors_of_a_stage_arrive(play: Play) -> None:
-    """A CloudError crosses with its code and fields, also through a task that depends on it."""
+    """A CloudError keeps its code and fields, also through a dependent task."""
 
     async def scenario(backend: DaskBackend) -> None:
         bad = submit(backend, light.refuse)
@@ -105,7 +110,7 @@ def test_errors_of_a_stage_arrive(play: Play) -> None:
 
 
 def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
-    """A task that ends two workers is given up; results and workers of others come back."""
+    """A task that ends two workers fails; workers and results of other tasks are restored."""
 
     async def scenario(backend: DaskBackend) -> None:
         kept = submit(backend, light.add, 20, 22)
@@ -123,38 +128,39 @@ def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
 
 
 def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
-    """A task that a dead worker had begun counts with its patches; one that ran once does not."""
+    """A task repeated after the loss of its worker counts with its patches."""
 
     async def scenario(backend: DaskBackend) -> None:
-        napping = submit(backend, light.nap, 3, str(tmp_path / "log"), "slept", patches=5)
-        await asyncio.sleep(1)
+        log, gate = tmp_path / "log", str(tmp_path / "gate")
+        held = submit(backend, light.hold, gate, str(log), "held", patches=5)
+        await until(log.exists)
         assert backend.retried_patches == 0
         worker = next(iter(backend._cluster.workers.values()))
         await worker.kill()
-        assert await backend.fetch(napping) == "slept"
+        await backend.fetch(submit(backend, light.open_gate, gate))
+        assert await backend.fetch(held) == "held"
         assert await backend.fetch(submit(backend, light.add, 1, 1, patches=7)) == 2
-        await until(lambda: backend.retried_patches == 5, seconds=5)
+        await until(lambda: backend.retried_patches == 5)
 
     play(scenario, workers=1)
 
 
 def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
-    """After its time and a grace, the process ends itself, and the backend goes on."""
+    """After its time limit the worker process ends itself and is replaced."""
 
     async def scenario(backend: DaskBackend) -> None:
-        start = time.monotonic()
-        hung = submit(backend, light.nap, 60, str(tmp_path / "log"), "hung", seconds=0)
-        await asyncio.sleep(5)
-        backend.cancel([hung])
-        await until(lambda: backend.lost_workers == 1, seconds=20)
-        assert time.monotonic() - start < 20
+        log = tmp_path / "log"
+        hung = submit(backend, light.nap, 600, str(log), "hung", seconds=0)
+        await until(log.exists)
+        backend.cancel([hung])  # it runs on, but is not repeated
+        await until(lambda: backend.lost_workers == 1)
         assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
 
     play(scenario, workers=1)
 
 
 def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
-    """Left alone, Dask keeps a record of every request, and bodies in logs of sent messages."""
+    """Neither records of tasks nor bodies in logs of messages are kept."""
 
     async def scenario(backend: DaskBackend) -> None:
         for number in range(30):
@@ -171,34 +177,39 @@ def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
 
 
 def test_priority_decides(play: Play, tmp_path: Path) -> None:
-    """What is queued later with a higher priority runs earlier."""
+    """A task submitted later with a higher priority runs earlier."""
     log = tmp_path / "log"
 
     async def scenario(backend: DaskBackend) -> None:
-        large = [
-            submit(backend, light.nap, 0.2, str(log), f"large{n}", priority=-100 + n)
-            for n in range(8)
-        ]
-        await asyncio.sleep(0.5)
-        small = submit(backend, light.nap, 0.0, str(log), "small", priority=-1)
-        for handle in [small, *large]:
+        gate = str(tmp_path / "gate")
+        first = submit(backend, light.hold, gate, str(log), "first")
+        await until(log.exists)
+        large = [submit(backend, light.log, str(log), "large", priority=-100) for _ in range(8)]
+        small = submit(backend, light.log, str(log), "small", priority=-1)
+        await until(lambda: known(backend, [small, *large]) == 9)
+        # Messages to the worker are ordered, so it knows all tasks when it opens the gate.
+        await backend.wait(submit(backend, light.open_gate, gate))
+        for handle in [first, small, *large]:
             await backend.wait(handle)
-        assert log.read_text().split().index("small") <= 4
+        assert log.read_text().split() == ["first", "small", *["large"] * 8]
 
     play(scenario, workers=1)
 
 
-def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
-    """A quick stage runs beside one that works; those that work run one at a time."""
+def test_quick_stages_do_not_wait(play: Play, tmp_path: Path) -> None:
+    """A quick stage runs beside one that computes; stages that compute run one at a time."""
     log = tmp_path / "log"
 
     async def scenario(backend: DaskBackend) -> None:
-        naps = [submit(backend, light.nap, 5, str(log), name) for name in ("first", "second")]
+        gate = tmp_path / "gate"
+        held = [
+            submit(backend, light.hold, str(gate), str(log), name) for name in ("first", "second")
+        ]
         await until(lambda: log.exists() and log.read_text() == "first\n")
         assert await backend.fetch(submit(backend, light.add_quickly, 1, 1)) == 2
         assert log.read_text().split() == ["first"]
-        assert not naps[0].done()
-        assert [await backend.fetch(nap) for nap in naps] == ["first", "second"]
+        gate.touch()
+        assert [await backend.fetch(each) for each in held] == ["first", "second"]
 
     play(scenario, workers=1)
 
@@ -206,7 +217,7 @@ def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
 def test_a_worker_without_a_core_does_not_count(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that was started without the preload would be given no work."""
+    """A worker that was started without the preload does not count as warm."""
     config = {**dask_backend._CONFIG, "distributed.worker.preload": []}
     monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
@@ -217,22 +228,28 @@ def test_a_worker_without_a_core_does_not_count(
 
 
 def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
-    """What nobody waits for any more leaves the queue."""
+    """Cancelled tasks that have not begun leave the queue."""
     log = tmp_path / "log"
 
     async def scenario(backend: DaskBackend) -> None:
-        handles = [submit(backend, light.nap, 0.3, str(log), str(n)) for n in range(10)]
-        await asyncio.sleep(0.4)
+        gate = str(tmp_path / "gate")
+        first = submit(backend, light.hold, gate, str(log), "first")
+        await until(log.exists)
+        handles = [submit(backend, light.log, str(log), str(n)) for n in range(10)]
+        await until(lambda: known(backend, handles) == 10)
         backend.cancel(handles)
-        await asyncio.sleep(1.0)
+        await until(lambda: known(backend, handles) == 0)
+        # Messages to the worker are ordered, so it has dropped the tasks when it opens the gate.
+        await backend.wait(submit(backend, light.open_gate, gate))
+        await backend.wait(first)
         assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
-        assert len(log.read_text().split()) < 5
+        assert log.read_text().split() == ["first"]
 
     play(scenario, workers=1)
 
 
-def test_a_watcher_that_gave_up_is_replaced(play: Play) -> None:
-    """A worker whose nanny closed, as after a failed restart, comes back all the same."""
+def test_a_closed_nanny_is_replaced(play: Play) -> None:
+    """A worker whose nanny has closed, as after a failed restart, is replaced."""
 
     async def scenario(backend: DaskBackend) -> None:
         first = await backend.fetch(submit(backend, light.pid))
@@ -244,7 +261,7 @@ def test_a_watcher_that_gave_up_is_replaced(play: Play) -> None:
 
 
 def test_nothing_else_listens(play: Play) -> None:
-    """Every port of the cluster is on loopback; its web server answers nothing."""
+    """Every port of the cluster is on the loopback interface; its web server has no page."""
     psutil: Any = importlib.import_module("psutil")
 
     async def scenario(backend: DaskBackend) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A noisy cloud on its way through the engine."""
+"""Denoising in the engine."""
 
 import asyncio
 import io
@@ -29,7 +29,7 @@ REQUEST = replace(
 
 @pytest.fixture(scope="module")
 def noisy() -> Cloud:
-    """A sphere of 6,000 points, off by half of their spacing."""
+    """A sphere of 6,000 points with noise of half their spacing."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(6000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -38,17 +38,17 @@ def noisy() -> Cloud:
 
 @pytest.fixture(scope="module")
 def folded() -> Cloud:
-    """A sheet so coarse for its folds that they look like noise, and are none."""
+    """A folded sheet, sampled so coarsely that its folds look like noise."""
     u, v = np.random.default_rng(0).random((2, 6000)) * 60
     return Cloud(np.column_stack([u, v, 0.8 * np.abs((u + 0.3 * v) % 4 - 2)]).astype(np.float32))
 
 
 def ignore(_: int) -> None:
-    """What is told on the way matters elsewhere."""
+    """Ignore progress."""
 
 
 def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
-    """Points of the engine's answer."""
+    """Points of the answer of the engine."""
     body = io.BytesIO()
     formats.write(cloud, body, format="ply")
     request = replace(REQUEST, one_task_patches=at_once)
@@ -71,7 +71,7 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
 def both(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[Cloud], tuple[Result, NDArray[np.float32]]]:
-    """What the library and what the engine make of a cloud, whatever way it goes."""
+    """Results of the library and of the engine, for each of the engine's ways."""
     at_once, tile = request.param
 
     def made(cloud: Cloud) -> tuple[Result, NDArray[np.float32]]:
@@ -90,7 +90,7 @@ def both(
 def test_the_service_denoises_as_the_library_does(
     both: Callable[[Cloud], tuple[Result, NDArray[np.float32]]], noisy: Cloud
 ) -> None:
-    """To the last bit; and the points do get nearer to the surface."""
+    """Both results are equal bit by bit, and closer to the surface."""
     wanted, found = both(noisy)
     np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
     off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in (noisy.points, found)]
@@ -100,7 +100,7 @@ def test_the_service_denoises_as_the_library_does(
 def test_the_service_keeps_detail_as_the_library_does(
     both: Callable[[Cloud], tuple[Result, NDArray[np.float32]]], folded: Cloud
 ) -> None:
-    """What is taken for noise at first and moves by nothing goes on as it is, input points too."""
+    """A cloud whose points hardly move keeps them, with the same result as in the library."""
     wanted, found = both(folded)
     np.testing.assert_array_equal(found, wanted.cloud.points.astype(np.float32))
     stayed = {tuple(point) for point in folded.points} & {tuple(point) for point in found}

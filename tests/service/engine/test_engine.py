@@ -7,7 +7,7 @@ import errno
 import io
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ REQUEST = self_test_request("standard", deadline_s=60.0)
 
 
 class Progress:
-    """What the engine tells on the way."""
+    """Recorded progress."""
 
     def __init__(self) -> None:
         self.patches: list[int] = []
@@ -43,16 +43,23 @@ class Progress:
 
 
 async def run(
-    engine: Engine, data: bytes, tmp_path: Path, request: RunRequest = REQUEST
+    engine: Engine,
+    data: bytes,
+    tmp_path: Path,
+    request: RunRequest = REQUEST,
+    on_patches: Callable[[int], object] = lambda _: None,
 ) -> tuple[RunResult, Progress]:
-    """Run an order on some bytes."""
+    """Run a request on some bytes."""
     progress = Progress()
+
+    def told(count: int) -> None:
+        progress.patches.append(count)
+        on_patches(count)
+
     with Spool(tmp_path) as body:
         await body.write(data)
-        outcome = await engine.run(
-            body, request, on_patches=progress.patches.append, on_done=progress.done.append
-        )
-    # What the engine's thread told last may still be on its way.
+        outcome = await engine.run(body, request, on_patches=told, on_done=progress.done.append)
+    # The last call of the engine's thread may still be queued in this loop.
     await asyncio.sleep(0)
     return outcome, progress
 
@@ -84,8 +91,8 @@ def points(outcome: RunResult) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize("kind", ["inline", "dask"])
-def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"]) -> None:
-    """Outcome, report, stages, progress and errors do not depend on where tasks run."""
+def test_both_backends_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"]) -> None:
+    """Both backends have the same results, reports, stages, progress and errors."""
     settings = Settings(engine=kind, workers=2, spool_dir=tmp_path)
     found: list[RunResult] = []
 
@@ -111,7 +118,7 @@ def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"])
 def test_the_answer_comes_by_file_or_by_connection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A worker elsewhere cannot reach the front's file; the bytes are the same."""
+    """The bytes are the same by file and by connection, as for an external worker."""
     took: list[bool] = []
     take = Spool.take
 
@@ -140,10 +147,8 @@ def test_the_answer_comes_by_file_or_by_connection(
     assert answers[0] == answers[1]
 
 
-def test_a_poisonous_request_harms_nobody_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It fails alone, after its second chance; requests beside it and after it are served."""
+def test_a_request_that_ends_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It fails alone after a second attempt; other requests are served."""
     trap = Path(__file__).with_name("preload_poison.py")
     config = {**dask_backend._CONFIG, "distributed.worker.preload": [str(trap)]}
     monkeypatch.setattr(dask_backend, "_CONFIG", config)
@@ -157,33 +162,40 @@ def test_a_poisonous_request_harms_nobody_else(
         for task in beside:
             (await task)[0].spool.close()
         (await run(engine, data, tmp_path))[0].spool.close()
-        # Four died: two chances of two workers each. One that dies within a look is not counted.
+        # Two attempts end two workers each; one that is replaced between two polls is not counted.
         assert 2 <= engine.status.lost <= 4
 
     play(Settings(workers=2, spool_dir=tmp_path), scenario)
 
 
-def test_cancelling_an_order(tmp_path: Path) -> None:
-    """A cancelled order leaves the engine free for the next one."""
+def test_cancelling_a_request(tmp_path: Path) -> None:
+    """A cancelled request leaves neither a task nor a place in the queue."""
     directions = np.random.default_rng(0).normal(size=(200_000, 3))
     buffer = io.BytesIO()
     formats.write(Cloud(directions), buffer, format="ply")
     large = dataclasses.replace(REQUEST, max_points=10**6, max_output_points=10**7)
 
     async def scenario(engine: Engine) -> None:
-        order = asyncio.create_task(run(engine, buffer.getvalue(), tmp_path, large))
-        await asyncio.sleep(1.5)
-        order.cancel()
+        begun = asyncio.Event()
+        task = asyncio.create_task(
+            run(engine, buffer.getvalue(), tmp_path, large, lambda _: begun.set())
+        )
+        await begun.wait()
+        task.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await order
-        async with asyncio.timeout(20):
-            (await run(engine, self_test_body().tobytes(), tmp_path))[0].spool.close()
+            await task
+        (await run(engine, self_test_body().tobytes(), tmp_path))[0].spool.close()
+        assert engine._policy.requests == set()
+        backend: Any = engine._backend
+        # Running tasks end, and no further one begins.
+        while backend._cluster.scheduler.tasks:
+            await asyncio.sleep(0.05)
 
     play(Settings(workers=2, spool_dir=tmp_path), scenario)
 
 
 def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
-    """Orders before the start are refused, and stopping what never ran is fine."""
+    """A request before the start is refused, and stopping without a start is allowed."""
 
     async def scenario() -> None:
         engine = Engine(Settings(spool_dir=tmp_path))
@@ -195,7 +207,7 @@ def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
 
 
 def test_a_body_that_cannot_be_read(tmp_path: Path) -> None:
-    """The disk's failure is told as what it is, and the next order is served."""
+    """An error of the disk is a DiskError, and the next request is served."""
 
     class Unreadable:
         size = 1

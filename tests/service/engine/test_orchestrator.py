@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A request on its way: who goes first, what is told, and that nothing is left over."""
+"""Orchestration of a request: order of tasks, progress, and release of all results."""
 
 import asyncio
 import contextlib
@@ -22,12 +22,12 @@ from pugeo_service.engine.scheduling import LARGE_PATCHES, SchedulingPolicy
 
 @pytest.fixture(autouse=True)
 def two_patches_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tasks of two patches, so that parts and patches can be told apart."""
+    """Tasks of two patches, so that parts differ from patches."""
     monkeypatch.setattr(module, "_CARRIED_PATCHES", 2)
 
 
 def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
-    """Batches cover all patches, and reach merge in the order of the patches."""
+    """Batches cover all patches and are passed on in order."""
     pool = Recorder(7, seconds=lambda handle: 0.05 if handle.args[0].args[1] == 0 else 0.0)
     _, data = run(pool, tmp_path)
     cuts = [handle.args[1:] for handle in pool.of("take_patches")]
@@ -38,7 +38,7 @@ def test_every_patch_once_and_in_order(tmp_path: Path) -> None:
 
 
 def test_a_cloud_in_tiles(tmp_path: Path) -> None:
-    """Each tile goes its way once, as many at a time as there are workers; then they are joined."""
+    """Each tile runs once, as many at a time as there are workers; then they are assembled."""
     pool = Recorder(9, seconds=lambda _: 0.001, tiles=5)
     outcome, data = run(pool, tmp_path)
     assert data == b"012"
@@ -53,7 +53,7 @@ def test_a_cloud_in_tiles(tmp_path: Path) -> None:
 
 
 def test_tiles_stay_on_their_workers(tmp_path: Path) -> None:
-    """Each worker has a tile of its own, whole; who has none left helps with the last one."""
+    """Each worker has a whole tile; one without a tile helps with the last one."""
     pool = Recorder(9, seconds=lambda _: 0.001, tiles=3, by_rows=True)
     run(pool, tmp_path)
     jobs = pool.of("prepare_tile")
@@ -66,8 +66,8 @@ def test_tiles_stay_on_their_workers(tmp_path: Path) -> None:
     assert {part.worker for part in helped} == {"one", "two"}
 
 
-def test_parts_go_where_least_is_to_do(tmp_path: Path) -> None:
-    """Left alone, Dask would run all of them where the cloud was prepared."""
+def test_parts_go_to_the_least_loaded_worker(tmp_path: Path) -> None:
+    """Parts are placed on the worker with the fewest queued tasks."""
     pool, policy = Recorder(7, seconds=lambda _: 0.001), SchedulingPolicy(lambda: 2)
     policy.load["one"] = 2
     run(pool, tmp_path, policy=policy)
@@ -76,7 +76,7 @@ def test_parts_go_where_least_is_to_do(tmp_path: Path) -> None:
 
 
 def test_nothing_is_spread_when_each_worker_has_a_request(tmp_path: Path) -> None:
-    """A small cloud is then one task; a job, whose tasks others overtake, stays in parts."""
+    """If each worker has a request, a small cloud is one task; a job stays in parts."""
     policy = SchedulingPolicy(lambda: 2)
     asked: list[int] = []
     for others in (0, 1):
@@ -91,7 +91,7 @@ def test_nothing_is_spread_when_each_worker_has_a_request(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("stage", ["predict_in_place", "prepare_tile", "agree", "write_tile"])
 def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
-    """Its error is the cloud's, and the other tiles are given back."""
+    """The error of a tile is that of the cloud, and the other tiles are released."""
     pool = Recorder(9, fails=stage, tiles=5, by_rows=True)
     with pytest.raises(KeyError, match=stage):
         run(pool, tmp_path)
@@ -99,8 +99,8 @@ def test_a_tile_that_fails(tmp_path: Path, stage: str) -> None:
     assert not any(handle.live for handle in pool.handles)
 
 
-def test_a_cloud_that_is_done_at_once(tmp_path: Path) -> None:
-    """One task and a look at it, then the answer; its patches count as done."""
+def test_a_cloud_of_one_task(tmp_path: Path) -> None:
+    """A small cloud needs one task and its description; its patches count as done."""
 
     class Quick(Recorder):
         async def fetch(self, handle: Handle) -> Any:
@@ -130,7 +130,7 @@ def test_a_cloud_that_is_done_at_once(tmp_path: Path) -> None:
 
 
 def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
-    """Two for each worker, however many there are in all, and one that has the turn."""
+    """At most two batches per worker are queued, and one that has a turn."""
     pool = Recorder(100, seconds=lambda _: 0.001)
     run(pool, tmp_path)
     assert len(pool.of("predict")) == 50
@@ -138,7 +138,7 @@ def test_few_batches_wait_at_one_time(tmp_path: Path) -> None:
 
 
 def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
-    """With all their tasks, before the batches of large ones that have no turn."""
+    """All tasks of small requests precede batches of large ones without a turn."""
     large, small = Recorder(20), Recorder(LARGE_PATCHES - 1)
     for pool in (large, small):
         run(pool, tmp_path)
@@ -146,12 +146,12 @@ def test_small_requests_go_before_large_ones(tmp_path: Path) -> None:
     ranks = {handle.priority for stage in tasks for handle in small.of(stage)}
     assert len(ranks) == 1
     assert min(ranks) > min(handle.priority for handle in large.of("predict"))
-    # Dask could not tell them from those of large clouds.
+    # Dask estimates durations by this flag.
     assert not any(handle.long for handle in small.handles)
 
 
 def test_large_requests_have_turns(tmp_path: Path) -> None:
-    """One task of theirs at a time goes before everything else: stages, and some batches."""
+    """One task of large requests at a time has the highest priority."""
     pool = Recorder(80, seconds=lambda _: 0.01)
     policy = SchedulingPolicy(lambda: 2)
     run(pool, tmp_path, policy=policy)
@@ -165,7 +165,7 @@ def test_large_requests_have_turns(tmp_path: Path) -> None:
 
 
 def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> None:
-    """The body of the next is read when one has ended; small ones never wait for that."""
+    """The body of the next large request is read when one has ended; small ones do not wait."""
     policy = SchedulingPolicy(lambda: 1)
     begun: list[str] = []
 
@@ -191,13 +191,13 @@ def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> No
 
     asyncio.run(all_of_them())
     assert begun[:3] == ["large", "small", "small ended"]
-    # What turned out to be small makes room as soon as that is known.
+    # A cloud that turned out to be small leaves its place at once.
     assert begun.index("large ended") < begun.index("text") < begun.index("next")
     assert begun.index("next") < begun.index("text ended")
 
 
 def test_large_requests_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Behind endless small ones all batches get done in turns, those queued without one too."""
+    """All batches of a large request are done in turns behind endless small requests."""
     monkeypatch.setattr(module, "_PATIENCE_S", 0.05)
     pool = Recorder(20, seconds=lambda handle: 30.0 if handle.priority < 0 else 0.0)
     _, data = run(pool, tmp_path)
@@ -207,7 +207,7 @@ def test_large_requests_are_not_starved(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job behind endless requests gets its stages and batches done, one in each while."""
+    """All tasks of a job are done, one per period, behind endless requests."""
     monkeypatch.setattr(module, "_BACKGROUND_PATIENCE_S", 0.05)
     request = replace(REQUEST, background=True)
 
@@ -226,7 +226,7 @@ def test_background_orders_are_not_starved(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_progress_is_told(tmp_path: Path) -> None:
-    """First how many patches there are, then each batch."""
+    """First the number of patches is reported, then each batch."""
     told: list[int] = []
     run(Recorder(5), tmp_path, ProgressCallbacks(lambda count: told.append(-count), told.append))
     assert told[0] == -5
@@ -235,7 +235,7 @@ def test_progress_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("queued", "turn"), [(1, False), (4, True)])
 def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -> None:
-    """One of the first, whose forerunner nobody waits for yet, or one that has a turn."""
+    """An error while queueing, of one of the first parts or of one with a turn."""
 
     class Broken(Recorder):
         def submit(self, stage: Any, *args: Any, priority: float, **more: Any) -> Handle:
@@ -251,7 +251,7 @@ def test_a_part_that_cannot_be_queued(tmp_path: Path, queued: int, turn: bool) -
 
 @pytest.mark.parametrize("stage", ["", "predict", "densify"])
 def test_nothing_is_left_over(tmp_path: Path, stage: str) -> None:
-    """After a success and after an error, every handle is given back."""
+    """After a success and after an error all handles are released."""
     pool = Recorder(9, fails=stage)
     with pytest.raises(KeyError, match=stage) if stage else contextlib.nullcontext():
         run(pool, tmp_path)

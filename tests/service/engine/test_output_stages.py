@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Output stages: writing tile by tile gives the bytes of the assembled cloud."""
+
 import io
 from dataclasses import replace
 from typing import Any
@@ -37,7 +39,7 @@ def in_tiles(cloud: Cloud, **options: Any) -> tuple[Prepared, list[DenseTile]]:
 
 @pytest.mark.parametrize("orient", ["mst", "outward"])
 def test_tile_by_tile_or_together(orient: str) -> None:
-    """The bytes are those of the whole, in each format that is written tile by tile."""
+    """Tiles written one by one give the bytes of the assembled cloud."""
     prepared, tiles = in_tiles(sphere({"time": np.arange(3000.0)}), orient=orient)
     for answer in ("ply", "ply-ascii", "xyz"):
         agreed = agree(prepared, [border(tile) for tile in tiles], answer)
@@ -55,11 +57,11 @@ def test_tile_by_tile_or_together(orient: str) -> None:
     [
         ("ply", {}, {"time": np.arange(9000.0)}, True),
         ("xyz", {}, {"part": np.arange(9000, dtype=np.int32)}, True),
-        # A column after the other.
+        # Stored column by column.
         ("npz", {}, {}, False),
-        # All values decide how wide the integers are stored.
+        # The width of integers depends on all values.
         ("ply", {}, {"time": np.arange(9000)}, False),
-        # The input's points lead, whatever tile they are in.
+        # The points of the input precede those of all tiles.
         ("ply", {"keep_input": True}, {}, False),
     ],
 )
@@ -70,7 +72,7 @@ def test_what_is_written_tile_by_tile(
     scalars: dict[str, Any],
     expected: bool,
 ) -> None:
-    """Clouds whose rows can follow each other as the tiles give them."""
+    """Clouds that can be written tile by tile, and clouds that cannot."""
     cut = plan.make_plan
     monkeypatch.setattr(plan, "make_plan", lambda cloud, options: cut(cloud, options, 3000))
     file = io.BytesIO()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines are first come first served, and nobody is lost in them."""
+"""The fair semaphore and the scheduling policy."""
 
 import asyncio
 
@@ -8,41 +8,47 @@ import pytest
 from pugeo_service.engine.scheduling import LARGE_PATCHES, FairSemaphore, SchedulingPolicy
 
 
+async def run_until_idle() -> None:
+    """Let all tasks run that can."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
 def test_first_come_first_served() -> None:
-    """As many inside as there are places, in the order they came."""
+    """As many holders as there are places, in the order of arrival."""
     order: list[int] = []
     most = 0
 
     async def main() -> None:
-        line = FairSemaphore(lambda: 2)
+        semaphore = FairSemaphore(lambda: 2)
 
         async def one(number: int) -> None:
             nonlocal most
-            async with line:
+            async with semaphore:
                 order.append(number)
-                most = max(most, line.holders)
-                await asyncio.sleep(0.001)
+                most = max(most, semaphore.holders)
+                await asyncio.sleep(0)
 
         await asyncio.gather(*(one(number) for number in range(9)))
-        assert line.holders == 0
+        assert semaphore.holders == 0
 
     asyncio.run(main())
     assert (order, most) == (list(range(9)), 2)
 
 
 def test_places_come_and_go() -> None:
-    """More places are used by whoever comes next; with none, one is let in all the same."""
+    """The number of places may change; at least one is always allowed."""
 
     async def main() -> None:
         places = 0
-        line = FairSemaphore(lambda: places)
-        await line.__aenter__()
-        waiting = [asyncio.create_task(line.__aenter__()) for _ in range(3)]
-        await asyncio.sleep(0)
-        assert line.holders == 1
+        semaphore = FairSemaphore(lambda: places)
+        await semaphore.__aenter__()
+        waiting = [asyncio.create_task(semaphore.__aenter__()) for _ in range(3)]
+        await run_until_idle()
+        assert semaphore.holders == 1
         places = 3
-        latest = asyncio.create_task(line.__aenter__())
-        await asyncio.sleep(0.01)
+        latest = asyncio.create_task(semaphore.__aenter__())
+        await run_until_idle()
         assert [task.done() for task in (*waiting, latest)] == [True, True, False, False]
         for task in (*waiting, latest):
             task.cancel()
@@ -50,47 +56,47 @@ def test_places_come_and_go() -> None:
     asyncio.run(main())
 
 
-def test_who_leaves_the_line_takes_no_place() -> None:
-    """Cancelled while waiting, or at the moment of being let in."""
+def test_a_cancelled_waiter_takes_no_place() -> None:
+    """A waiter may be cancelled while waiting, or just after its admission."""
 
     async def main() -> None:
-        line = FairSemaphore(lambda: 1)
-        await line.__aenter__()
-        gone, next_one = (asyncio.create_task(line.__aenter__()) for _ in range(2))
+        semaphore = FairSemaphore(lambda: 1)
+        await semaphore.__aenter__()
+        gone, next_one = (asyncio.create_task(semaphore.__aenter__()) for _ in range(2))
         await asyncio.sleep(0)
         gone.cancel()
         await asyncio.sleep(0)
-        await line.__aexit__(None, None, None)
+        await semaphore.__aexit__(None, None, None)
         next_one.cancel()
         with pytest.raises(asyncio.CancelledError):
             await next_one
-        assert line.holders == 0
-        async with line:
-            assert line.holders == 1
+        assert semaphore.holders == 0
+        async with semaphore:
+            assert semaphore.holders == 1
 
     asyncio.run(main())
 
 
-def test_who_stopped_waiting_is_passed_over() -> None:
-    """Also where the place becomes free before anybody has heard of it."""
+def test_a_cancelled_waiter_is_skipped() -> None:
+    """A waiter that is cancelled just before a place becomes free is skipped."""
 
     async def main() -> None:
-        line = FairSemaphore(lambda: 1)
-        await line.__aenter__()
-        gone, stays = (asyncio.create_task(line.__aenter__()) for _ in range(2))
+        semaphore = FairSemaphore(lambda: 1)
+        await semaphore.__aenter__()
+        gone, stays = (asyncio.create_task(semaphore.__aenter__()) for _ in range(2))
         await asyncio.sleep(0)
         gone.cancel()
-        await line.__aexit__(None, None, None)
+        await semaphore.__aexit__(None, None, None)
         await stays
-        assert line.holders == 1
-        await line.__aexit__(None, None, None)
-        assert line.holders == 0
+        assert semaphore.holders == 1
+        await semaphore.__aexit__(None, None, None)
+        assert semaphore.holders == 0
 
     asyncio.run(main())
 
 
-def test_ranks() -> None:
-    """Requests before jobs, small before large, and then who came first."""
+def test_priorities() -> None:
+    """Requests precede jobs, small ones large ones, earlier ones later ones."""
     small, large = 1, LARGE_PATCHES
     ranks = [
         SchedulingPolicy.FIRST,
@@ -104,35 +110,37 @@ def test_ranks() -> None:
     assert len(set(ranks)) == len(ranks)
 
 
-def test_who_has_less_to_do_overtakes_for_a_while() -> None:
-    """One patch goes before five that came a little earlier, but not before all that did."""
+def test_fewer_patches_overtake_for_a_time() -> None:
+    """One patch overtakes five that arrived shortly before, but not much earlier ones."""
     five = SchedulingPolicy.priority(100.0, 5, background=False)
     assert SchedulingPolicy.priority(110.0, 1, background=False) > five
     assert SchedulingPolicy.priority(115.0, 1, background=False) < five
 
 
-def test_a_worker_is_left_to_small_clouds_where_there_are_any() -> None:
-    """Large ones have all of them otherwise; jobs, which nobody waits for, do not count."""
+def test_small_clouds_have_a_worker() -> None:
+    """While there is a small request, large ones leave it one worker; jobs do not count."""
 
     async def main() -> None:
-        lanes = SchedulingPolicy(lambda: 2)
-        lanes.register("job", 1, background=True)
-        lanes.register("cloud", 1, background=False)
+        policy = SchedulingPolicy(lambda: 2)
+        policy.register("job", 1, background=True)
+        policy.register("cloud", 1, background=False)
 
-        async def inside() -> int:
-            async with asyncio.timeout(0.05), lanes.turns, lanes.turns:
-                return 2
-            return 1
+        async def hold_two() -> None:
+            async with policy.turns, policy.turns:
+                pass
 
-        with pytest.raises(TimeoutError):
-            await inside()
-        # It turned out to be large, or is done.
+        waiting = asyncio.create_task(hold_two())
+        await run_until_idle()
+        assert not waiting.done()
+        waiting.cancel()
+        await asyncio.gather(waiting, return_exceptions=True)
+        # The cloud turns out to be large, or its request ends.
         for over in (
-            lambda: lanes.register("cloud", 8, background=False),
-            lambda: lanes.unregister("cloud"),
+            lambda: policy.register("cloud", 8, background=False),
+            lambda: policy.unregister("cloud"),
         ):
-            lanes.register("cloud", 1, background=False)
+            policy.register("cloud", 1, background=False)
             over()
-            assert await inside() == 2
+            await hold_two()
 
     asyncio.run(main())

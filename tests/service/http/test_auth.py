@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may come in, and what browsers may do with the answers."""
+"""Authentication by key, CORS, and security headers."""
 
 import asyncio
 from pathlib import Path
@@ -23,14 +23,14 @@ PREFLIGHT = {
 
 
 def client(tmp_path: Path, **settings: Any) -> TestClient:
-    """A service whose engine never starts, which is enough for what comes before it."""
+    """A service whose engine is not started."""
     app = create_app(Settings(engine="inline", spool_dir=tmp_path, **settings))
     return TestClient(app, raise_server_exceptions=False)
 
 
 @pytest.fixture
 def locked(tmp_path: Path) -> TestClient:
-    """A service with one key, and one page that may call it."""
+    """A service with one key and one allowed origin."""
     keys = (Entry("ann", hash_of("secret")),)
     return client(tmp_path, api_keys=keys, cors_origins=(PAGE,))
 
@@ -39,7 +39,7 @@ def locked(tmp_path: Path) -> TestClient:
     "path", ["/upsample", "/models", "/models/standard", "/metrics", "/nothing", "/docs2"]
 )
 def test_a_key_is_asked_for(locked: TestClient, path: str) -> None:
-    """Without one, 401 says how to send it; what does not exist is not told apart."""
+    """Without a key the answer is 401, which explains how to send it, also for unknown paths."""
     response = locked.get(path)
     assert (response.status_code, response.json()["code"]) == (401, "unauthorized")
     assert response.headers["content-type"] == MEDIA_TYPE
@@ -50,7 +50,7 @@ def test_a_key_is_asked_for(locked: TestClient, path: str) -> None:
 
 
 def test_an_unknown_key(locked: TestClient) -> None:
-    """It is told apart from no key at all, and not repeated in the answer."""
+    """An unknown key gets another challenge than no key, and is not repeated in the answer."""
     response = locked.get("/models", headers={"X-API-Key": "wrong-one"})
     assert response.status_code == 401
     assert 'error="invalid_token"' in response.headers["www-authenticate"]
@@ -58,7 +58,7 @@ def test_an_unknown_key(locked: TestClient) -> None:
 
 
 def test_a_key_opens(locked: TestClient) -> None:
-    """Both headers do."""
+    """A key may be sent in either header."""
     assert locked.get("/models", headers=KEY).status_code == 200
     assert locked.get("/models", headers={"X-API-Key": "secret"}).status_code == 200
 
@@ -70,7 +70,7 @@ def test_what_is_open(locked: TestClient, path: str) -> None:
 
 
 def test_the_body_is_not_read(locked: TestClient) -> None:
-    """Whoever has no key cannot make the service take a byte in."""
+    """Without a key no byte of the body is read."""
     messages: list[Any] = []
 
     async def receive() -> Any:
@@ -93,7 +93,7 @@ def test_the_body_is_not_read(locked: TestClient) -> None:
 
 
 def test_refusals_are_counted(locked: TestClient) -> None:
-    """The dashboard sees who knocks without a key."""
+    """Refused requests are counted."""
     locked.get("/models")
     locked.get("/models")
     metrics = locked.get("/metrics", headers=KEY).text
@@ -101,12 +101,12 @@ def test_refusals_are_counted(locked: TestClient) -> None:
 
 
 def test_without_keys_everybody_may_come_in(tmp_path: Path) -> None:
-    """Keys are an option."""
+    """Without configured keys no key is needed."""
     assert client(tmp_path).get("/models").status_code == 200
 
 
 def test_preflights_need_no_key(locked: TestClient) -> None:
-    """A browser asks before it sends, and cannot send a key with that question."""
+    """A CORS preflight needs no key, because browsers send none."""
     response = locked.options("/upsample", headers=PREFLIGHT)
     assert response.status_code == 200
     assert response.headers["access-control-allow-origin"] == PAGE
@@ -115,7 +115,7 @@ def test_preflights_need_no_key(locked: TestClient) -> None:
 
 
 def test_pages_see_answers_and_refusals(locked: TestClient) -> None:
-    """The one page may read bodies and our headers, also of a 401; others may not."""
+    """The allowed origin may read bodies and headers, also of a 401; other origins may not."""
     response = locked.get("/models", headers={"Origin": PAGE})
     assert (response.status_code, response.headers["access-control-allow-origin"]) == (401, PAGE)
     assert "Retry-After" in response.headers["access-control-expose-headers"]
@@ -125,7 +125,7 @@ def test_pages_see_answers_and_refusals(locked: TestClient) -> None:
 
 
 def test_cors_is_off_by_default(tmp_path: Path) -> None:
-    """No page of another origin may do anything unless somebody says so."""
+    """Without configuration no other origin is allowed."""
     plain = client(tmp_path)
     assert plain.options("/upsample", headers=PREFLIGHT).status_code == 405
     headers = plain.get("/models", headers={"Origin": PAGE}).headers
@@ -133,21 +133,21 @@ def test_cors_is_off_by_default(tmp_path: Path) -> None:
 
 
 def test_every_page_may(tmp_path: Path) -> None:
-    """An asterisk lets all pages in; without cookies that exposes nothing."""
+    """An asterisk allows all origins."""
     response = client(tmp_path, cors_origins="*").get("/models", headers={"Origin": PAGE})
     assert response.headers["access-control-allow-origin"] == "*"
 
 
 @pytest.mark.parametrize("origin", ["viewer.example", "https://viewer.example/", "https://*.ex"])
 def test_wrong_origins(tmp_path: Path, origin: str) -> None:
-    """What can never match an Origin header is refused at the start."""
-    with pytest.raises(ValueError, match="no origin"):
+    """A setting that can never match an Origin header is refused at the start."""
+    with pytest.raises(ValueError, match="not an origin"):
         client(tmp_path, cors_origins=f"{PAGE}, {origin}")
 
 
 @pytest.mark.parametrize("path", ["/health", "/models", "/nothing", "/docs", "/metrics"])
 def test_every_answer_is_hardened(tmp_path: Path, path: str) -> None:
-    """No guessing of types, no frames, no referrer, nothing kept by caches."""
+    """Each answer has all security headers."""
     headers = client(tmp_path).get(path).headers
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["referrer-policy"] == "no-referrer"
@@ -157,6 +157,6 @@ def test_every_answer_is_hardened(tmp_path: Path, path: str) -> None:
 
 
 def test_metrics_move_to_their_port(tmp_path: Path) -> None:
-    """Where they have one, the main port has none."""
+    """With a separate port for metrics the main port has none."""
     assert client(tmp_path).get("/metrics").status_code == 200
     assert client(tmp_path, metrics_port=9100).get("/metrics").status_code == 404

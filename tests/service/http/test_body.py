@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies are taken in under limits that hold while the bytes arrive."""
+"""Reception of bodies: media types, limits, slow and departed clients."""
 
 import asyncio
 from pathlib import Path
@@ -17,7 +17,7 @@ LIMIT = 1000
 
 
 class Wire:
-    """A connection that delivers messages, then hangs."""
+    """A connection that delivers messages and then stalls."""
 
     def __init__(self, *pieces: bytes | None) -> None:
         self.left: list[Message] = [
@@ -29,7 +29,7 @@ class Wire:
 
     async def receive(self) -> Message:
         if not self.left:
-            await asyncio.sleep(60)
+            await asyncio.Event().wait()
         return self.left.pop(0)
 
 
@@ -42,8 +42,8 @@ def take(
     settings = Settings(max_body_bytes=LIMIT, body_idle_s=0.05, spool_dir=tmp_path)
 
     async def run() -> tuple[bytes, str | None]:
-        with (admission or Admission(9, 10_000, 9)).hold() as hold:
-            body = await receive_body(request, settings, hold)
+        with (admission or Admission(9, 10_000, 9)).reserve() as reservation:
+            body = await receive_body(request, settings, reservation)
             with body.spool as spool:
                 return (await spool.read()).tobytes(), body.format
 
@@ -72,7 +72,7 @@ def test_types(tmp_path: Path, content_type: str, expected: str | None) -> None:
 
 @pytest.mark.parametrize("content_type", ["image/png", "text/html", "application/xml", "x"])
 def test_other_types(tmp_path: Path, content_type: str) -> None:
-    """415 lists what is accepted, before a byte is read."""
+    """415 lists the accepted types before a byte is read."""
     wire = Wire(b"abc")
     with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path, content_type=content_type)
@@ -82,7 +82,7 @@ def test_other_types(tmp_path: Path, content_type: str) -> None:
 
 
 def test_compressed_bodies(tmp_path: Path) -> None:
-    """A body that could unpack to anything is not unpacked."""
+    """A compressed body is refused, because its size is unknown."""
     with pytest.raises(ProblemError) as caught:
         take(Wire(b"abc"), tmp_path, content_encoding="gzip")
     assert (caught.value.status, caught.value.code) == (415, "unsupported_encoding")
@@ -90,7 +90,7 @@ def test_compressed_bodies(tmp_path: Path) -> None:
 
 
 def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
-    """Nothing is read of a body that says it is too large."""
+    """A body whose Content-Length is too large is not read."""
     wire = Wire(b"abc")
     with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path, content_length=str(LIMIT + 1))
@@ -100,7 +100,7 @@ def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
 
 
 def test_an_unannounced_size_is_refused_as_it_arrives(tmp_path: Path) -> None:
-    """A body that says nothing of its size is cut off at the limit."""
+    """A body without Content-Length is refused at the limit."""
     wire = Wire(b"x" * 600, b"x" * 600, b"x" * 600)
     with pytest.raises(ProblemError, match="limit"):
         take(wire, tmp_path)
@@ -108,26 +108,26 @@ def test_an_unannounced_size_is_refused_as_it_arrives(tmp_path: Path) -> None:
 
 
 def test_the_limit_itself_fits(tmp_path: Path) -> None:
-    """Exactly as much as allowed is allowed."""
+    """A body of exactly the limit is accepted."""
     assert take(Wire(b"x" * LIMIT), tmp_path, content_length=str(LIMIT))[0] == b"x" * LIMIT
 
 
 def test_an_empty_body(tmp_path: Path) -> None:
-    """400 says what to send."""
+    """An empty body is a 400."""
     with pytest.raises(ProblemError) as caught:
         take(Wire(b""), tmp_path)
     assert (caught.value.status, caught.value.code) == (400, "empty_body")
 
 
 def test_an_empty_part(tmp_path: Path) -> None:
-    """So does an empty file of a form."""
+    """An empty file of a form is a 400."""
     body = b'--B\r\nContent-Disposition: form-data; name="file"\r\n\r\n\r\n--B--\r\n'
     with pytest.raises(ProblemError, match="empty"):
         take(Wire(body), tmp_path, content_type="multipart/form-data; boundary=B")
 
 
 def test_a_part_of_unknown_type(tmp_path: Path) -> None:
-    """Browsers guess; what they guess wrong decides nothing."""
+    """An unknown type of a part is ignored, because browsers guess it."""
     head = b'--B\r\nContent-Disposition: form-data; name="file"\r\nContent-Type: image/ply\r\n\r\n'
     found = take(
         Wire(head + b"xyz\r\n--B--\r\n"),
@@ -138,13 +138,13 @@ def test_a_part_of_unknown_type(tmp_path: Path) -> None:
 
 
 def test_a_client_that_leaves(tmp_path: Path) -> None:
-    """A body that will never be whole is nobody's error."""
+    """A disconnect during the body is not a problem document."""
     with pytest.raises(ClientDisconnectedError):
         take(Wire(b"abc", None), tmp_path)
 
 
 def test_a_client_that_stalls(tmp_path: Path) -> None:
-    """408 frees what a silent connection would hold for ever."""
+    """A silent connection is answered with 408."""
     wire = Wire(b"abc", b"")
     wire.left.pop()
     with pytest.raises(ProblemError) as caught:
@@ -153,7 +153,7 @@ def test_a_client_that_stalls(tmp_path: Path) -> None:
 
 
 def test_what_was_held_is_given_back(tmp_path: Path) -> None:
-    """A refused body leaves nothing in the account of bytes."""
+    """A refused body releases its reserved bytes."""
     admission = Admission(9, 10_000, 9)
     with pytest.raises(ProblemError, match="limit"):
         take(Wire(b"x" * 600, b"x" * 600), tmp_path, admission)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work ends with its client or its time, and its result or error is passed on."""
+"""Cancellation of work after a disconnect or a deadline."""
 
 import asyncio
 
@@ -7,73 +7,81 @@ import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
+from pugeo_service.admission.deadline import DeadlinePassedError
 from pugeo_service.http.body import ClientDisconnectedError
-from pugeo_service.http.cancellation import DeadlinePassedError, while_connected
+from pugeo_service.http.cancellation import while_connected
 
 
-def make_request(leaves_after: float) -> Request:
-    """A request whose client leaves after some seconds."""
+def make_request(*, leaves: bool = False) -> Request:
+    """A request whose client leaves at once, or stays."""
 
     async def receive() -> Message:
-        await asyncio.sleep(leaves_after)
+        if not leaves:
+            await asyncio.Event().wait()
         return {"type": "http.disconnect"}
 
     return Request({"type": "http"}, receive)
 
 
 class Work:
-    """Work that notes how it ended."""
+    """Work that never ends by itself and records its cancellation."""
 
     def __init__(self) -> None:
+        self.begun = asyncio.Event()
         self.cancelled = False
 
-    async def __call__(self, seconds: float) -> str:
+    async def __call__(self) -> None:
+        self.begun.set()
         try:
-            await asyncio.sleep(seconds)
+            await asyncio.Event().wait()
         except asyncio.CancelledError:
             self.cancelled = True
             raise
-        return "done"
+
+
+async def succeed() -> str:
+    """Work that ends at once."""
+    return "done"
 
 
 def test_the_result() -> None:
-    """Work that ends first is simply done."""
-    assert asyncio.run(while_connected(make_request(9), Work()(0), 9)) == "done"
+    """The result of the work is returned."""
+    assert asyncio.run(while_connected(make_request(), succeed(), 60)) == "done"
 
 
 def test_the_error() -> None:
-    """An error of the work is the caller's."""
+    """An error of the work is raised."""
 
     async def fail() -> None:
         raise KeyError
 
     with pytest.raises(KeyError):
-        asyncio.run(while_connected(make_request(9), fail(), 9))
+        asyncio.run(while_connected(make_request(), fail(), 60))
 
 
 def test_the_client_leaves() -> None:
-    """Work for nobody is cancelled, and has ended when the caller goes on."""
+    """If the client disconnects, the work is cancelled before the call ends."""
     work = Work()
     with pytest.raises(ClientDisconnectedError):
-        asyncio.run(while_connected(make_request(0.01), work(9), 9))
+        asyncio.run(while_connected(make_request(leaves=True), work(), 60))
     assert work.cancelled
 
 
 def test_time_is_up() -> None:
-    """So is work that takes too long."""
+    """If the time is over, the work is cancelled."""
     work = Work()
     with pytest.raises(DeadlinePassedError):
-        asyncio.run(while_connected(make_request(9), work(9), 0.01))
+        asyncio.run(while_connected(make_request(), work(), 0.01))
     assert work.cancelled
 
 
 def test_cancelling_from_outside() -> None:
-    """A shutdown that cancels the request cancels the work."""
+    """Cancelling the call, as a shutdown does, cancels the work."""
     work = Work()
 
     async def scenario() -> None:
-        task = asyncio.create_task(while_connected(make_request(9), work(9), 9))
-        await asyncio.sleep(0.01)
+        task = asyncio.create_task(while_connected(make_request(), work(), 60))
+        await work.begun.wait()
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
@@ -82,25 +90,27 @@ def test_cancelling_from_outside() -> None:
     assert work.cancelled
 
 
-def test_no_hope() -> None:
-    """Work that cannot end in time is cancelled as soon as that is known, with the reason."""
+def test_abort() -> None:
+    """An exception in the future ``abort`` cancels the work and is raised."""
     work = Work()
 
     async def scenario() -> None:
-        hopeless = asyncio.get_running_loop().create_future()
-        asyncio.get_running_loop().call_later(0.01, hopeless.set_exception, KeyError("too late"))
-        await while_connected(make_request(9), work(9), 9, hopeless)
+        abort = asyncio.get_running_loop().create_future()
+        task = asyncio.create_task(while_connected(make_request(), work(), 60, abort))
+        await work.begun.wait()
+        abort.set_exception(KeyError("too late"))
+        await task
 
     with pytest.raises(KeyError, match="too late"):
         asyncio.run(scenario())
     assert work.cancelled
 
 
-def test_hope_that_was_never_lost() -> None:
-    """A future that nothing comes of changes nothing."""
+def test_no_abort() -> None:
+    """A future ``abort`` without a result has no effect."""
 
     async def scenario() -> str:
-        hopeless = asyncio.get_running_loop().create_future()
-        return await while_connected(make_request(9), Work()(0.01), 9, hopeless)
+        abort = asyncio.get_running_loop().create_future()
+        return await while_connected(make_request(), succeed(), 60, abort)
 
     assert asyncio.run(scenario()) == "done"

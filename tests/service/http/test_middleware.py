@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Around every request: an id, metrics, and no naked error."""
+"""Middleware: request ids, metrics, and problems for unexpected errors."""
 
 import asyncio
 from typing import Any
@@ -16,19 +16,19 @@ from pugeo_service.observability.telemetry import Readings, Telemetry
 
 
 class Route:
-    """What routers leave in the scope."""
+    """Route that a router puts into the scope."""
 
     path = "/things/{name}"
 
 
 def make_telemetry() -> Telemetry:
-    """Metrics of a service at rest."""
+    """Metrics of an idle service."""
     model = {"name": "standard", "version": "1", "sha256": "ab"}
     return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6, 7), "0.1.0", model)
 
 
 def exchange(app: Any, telemetry: Telemetry, request_id: str | None = None) -> list[Message]:
-    """Send one request through the middleware; return what it sent."""
+    """Send one request through the middleware; return the messages that it sent."""
     sent: list[Message] = []
     headers = [] if request_id is None else [(b"x-request-id", request_id.encode("latin-1"))]
     scope: Scope = {
@@ -84,21 +84,21 @@ async def fail_late(_scope: Scope, _receive: Receive, send: Send) -> None:
 
 
 def test_an_id_is_kept() -> None:
-    """A client's own request id comes back."""
+    """The request id of a client is returned."""
     start = exchange(answer, make_telemetry(), "my-id.7:a_B")[0]
     assert (b"x-request-id", b"my-id.7:a_B") in start["headers"]
 
 
 @pytest.mark.parametrize("given", [None, "", "a b", "x" * 129, "caf\xe9", "a\tb"])
 def test_an_id_is_made(given: str | None) -> None:
-    """No id, or one that is unsafe in a log, is replaced."""
+    """A missing id, or one that is unsafe in a log, is replaced."""
     header = dict(exchange(answer, make_telemetry(), given)[0]["headers"])[b"x-request-id"]
     assert len(header) == 24
     assert header != (given or "").encode("latin-1")
 
 
 def test_requests_are_counted_by_template() -> None:
-    """The label is the route and not the path, else every name would add a series."""
+    """The label is the template of the route and not the path."""
     telemetry = make_telemetry()
     exchange(answer, telemetry)
     assert counted(telemetry, "pugeo_http_requests_total") == {
@@ -108,7 +108,7 @@ def test_requests_are_counted_by_template() -> None:
 
 
 def test_a_bug_is_a_problem() -> None:
-    """500 carries the request id and nothing of the error."""
+    """500 contains the request id and nothing of the error."""
     telemetry = make_telemetry()
     start, body = exchange(fail, telemetry, "abc")
     found = orjson.loads(body["body"])
@@ -118,20 +118,20 @@ def test_a_bug_is_a_problem() -> None:
 
 
 def test_a_client_that_left_is_499() -> None:
-    """Nothing is sent to nobody, and it is no error of the service."""
+    """Nothing is sent to a departed client, which is counted as 499."""
     telemetry = make_telemetry()
     assert exchange(leave, telemetry) == []
     assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}
 
 
 def test_a_late_bug_breaks_the_connection() -> None:
-    """After the headers, only the server's own abort tells the client."""
+    """After the headers an error is raised, so that the server aborts the connection."""
     with pytest.raises(KeyError):
         exchange(fail_late, make_telemetry())
 
 
 def test_names_of_the_contract() -> None:
-    """Dashboards and alerts rely on these names."""
+    """The names of all metrics, on which dashboards and alerts rely."""
     telemetry = make_telemetry()
     exchange(answer, telemetry)
     families = {
@@ -164,7 +164,7 @@ def test_names_of_the_contract() -> None:
 
 
 def test_readings_are_taken_when_asked_for() -> None:
-    """Gauges of the queue and the workers are read at the scrape."""
+    """Gauges of the queue and the workers are read at each scrape."""
     telemetry = make_telemetry()
     assert counted(telemetry, "pugeo_queue_patches") == {(): 1.0}
     assert counted(telemetry, "pugeo_queue_capacity_patches") == {(): 2.0}
@@ -175,7 +175,7 @@ def test_readings_are_taken_when_asked_for() -> None:
 
 
 def test_an_error_of_the_disk_is_a_problem() -> None:
-    """Whoever is still there gets an answer; OSError is not only what clients that left cause."""
+    """An OSError before the response is a 500, because not only disconnects cause it."""
 
     async def fail_to_read(_scope: Scope, _receive: Receive, _send: Send) -> None:
         raise PermissionError("secret")
@@ -186,7 +186,7 @@ def test_an_error_of_the_disk_is_a_problem() -> None:
 
 
 def test_a_connection_that_breaks_in_the_middle_is_499() -> None:
-    """What sending raises once the client hung up is no error of the service."""
+    """An OSError during the response is counted as a disconnect."""
 
     async def break_off(_scope: Scope, _receive: Receive, send: Send) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})

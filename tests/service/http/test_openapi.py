@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The description of the API is complete, true for every route, and the one that is committed."""
+"""The OpenAPI document is complete and equal to the committed one."""
 
 import json
 import subprocess
@@ -28,25 +28,25 @@ def operations(document: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def test_the_committed_document_is_this_one(root: Path) -> None:
-    """`make openapi` was run after the last change of a route."""
-    command = [sys.executable, "-m", "pugeo_service.http.openapi"]
+    """The committed document is up to date (`make openapi`)."""
+    command = [sys.executable, "-m", "pugeo_service.app"]
     made = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert json.loads((root / "docs/openapi.json").read_text("utf-8")) == json.loads(made)
 
 
 def test_every_error_is_a_problem(document: dict[str, Any]) -> None:
-    """No route promises another form of an error, FastAPI's own 422 included."""
+    """Every error response is a problem document, also for validation errors."""
     for path, operation in operations(document):
         for status, answer in operation["responses"].items():
             if int(status) >= 400:
                 assert list(answer["content"]) == [MEDIA_TYPE], (path, status)
                 schema = answer["content"][MEDIA_TYPE]["schema"]
-                assert schema == {"$ref": "#/components/schemas/ProblemError"}
+                assert schema == {"$ref": "#/components/schemas/Problem"}
     assert "HTTPValidationError" not in document["components"]["schemas"]
 
 
 def test_every_route_says_whether_it_needs_a_key(document: dict[str, Any]) -> None:
-    """What is not open names both ways to send a key, and the 401 without one."""
+    """Each route that needs a key names both schemes and 401."""
     assert set(document["components"]["securitySchemes"]) == {"bearer", "key"}
     for path, operation in operations(document):
         assert ("security" in operation) == (not is_open(path)), path
@@ -55,7 +55,7 @@ def test_every_route_says_whether_it_needs_a_key(document: dict[str, Any]) -> No
 
 @pytest.mark.parametrize("path", ["/jobs", "/jobs/{job_id}", "/upsample"])
 def test_a_wrong_method_names_the_right_ones(document: dict[str, Any], path: str) -> None:
-    """405 allows exactly what the document has for that path."""
+    """The Allow header of a 405 lists exactly the methods in the document."""
     client = TestClient(create_app(Settings(engine="inline")))
     answer = client.options(path.format(job_id="0"))
     assert answer.status_code == 405
@@ -64,7 +64,7 @@ def test_a_wrong_method_names_the_right_ones(document: dict[str, Any], path: str
 
 
 def test_operations_are_named(document: dict[str, Any]) -> None:
-    """Each has an id that generated clients can rely on, and a sentence."""
+    """Each operation has a stable id and a description."""
     ids = [operation["operationId"] for _, operation in operations(document)]
     assert len(set(ids)) == len(ids)
     assert all(name.replace("_", "").isalpha() and name.islower() for name in ids), ids
@@ -72,7 +72,7 @@ def test_operations_are_named(document: dict[str, Any]) -> None:
 
 
 def test_references_lead_somewhere(document: dict[str, Any]) -> None:
-    """Every $ref names a part that is there."""
+    """Every $ref names an existing part."""
 
     def references(value: Any) -> list[str]:
         if isinstance(value, dict):
@@ -89,6 +89,6 @@ def test_references_lead_somewhere(document: dict[str, Any]) -> None:
 
 
 def test_the_deadline_is_described(document: dict[str, Any]) -> None:
-    """A client learns of Prefer: wait where it applies."""
+    """Prefer: wait is documented at /upsample."""
     parameters = document["paths"]["/upsample"]["post"]["parameters"]
     assert {"Prefer", "X-Request-ID"} <= {parameter["name"] for parameter in parameters}

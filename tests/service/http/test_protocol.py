@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients that leave or stop reading, on real sockets."""
+"""Clients that disconnect, do not read, or do not finish a refused body."""
 
 import asyncio
 import contextlib
@@ -7,35 +7,38 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
 import uvicorn
+from tests.service.http.fake_loop import connect
 
 from pugeo_service.http import protocol
-from pugeo_service.http.protocol import Connection
+from pugeo_service.http.protocol import ServerProtocol
 
 GET = b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"
+PERIOD = 7.0  # seconds on the fake loop
 PIECE, PIECES = bytes(1 << 20), 64
 
 
 class Large:
-    """An application whose answer is large; notes how each request ended."""
+    """Application with a large answer; records how each request ended."""
 
     def __init__(self) -> None:
         self.begun = threading.Event()
         self.go = threading.Event()
         self.ended: list[BaseException | None] = []
+        self.calls = 0
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] != "http":
             return
-        # Whoever listens hears of a client that leaves.
+        self.calls += 1
         await receive()
         self.begun.set()
-        await asyncio.to_thread(self.go.wait, 30)
+        await asyncio.to_thread(self.go.wait, 60)
         try:
             length = str(len(PIECE) * PIECES).encode()
             headers = [(b"content-length", length)]
@@ -50,7 +53,7 @@ class Large:
 
 
 class Refusal(Large):
-    """An application that answers before it has read anything."""
+    """Application that answers before it reads the body."""
 
     async def __call__(self, scope: Any, _receive: Any, send: Any) -> None:
         if scope["type"] == "http":
@@ -60,7 +63,7 @@ class Refusal(Large):
 
 
 class Short(Large):
-    """An application whose answer is smaller than what asyncio would call a full buffer."""
+    """Application whose answer is smaller than asyncio's limit of a full write buffer."""
 
     size = 60_000
 
@@ -72,56 +75,59 @@ class Short(Large):
 
 
 @contextmanager
-def serving(app: Large) -> Iterator[tuple[str, int]]:
-    """Serve on a free port."""
+def serving(app: Large) -> Iterator[tuple[tuple[str, int], uvicorn.Server]]:
+    """Serve on a free port; yields its address and the server."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         if isinstance(app, Short):
-            # Else the kernel would hold all of it.
+            # Otherwise the kernel would buffer the whole answer.
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        config = uvicorn.Config(app, http=Connection, ws="none", lifespan="off", log_config=None)
+        config = uvicorn.Config(
+            app, http=ServerProtocol, ws="none", lifespan="off", log_config=None
+        )
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:
-            yield listener.getsockname()
+            yield listener.getsockname(), server
         finally:
             app.go.set()
             server.should_exit = server.force_exit = True
             thread.join(30)
 
 
-def until_ended(app: Large, seconds: float = 20.0) -> list[BaseException | None]:
-    """Wait for the first request to end."""
+def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until a condition holds."""
     end = time.monotonic() + seconds
-    while not app.ended and time.monotonic() < end:
-        time.sleep(0.02)
-    return app.ended
+    while not check():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_a_client_that_stops_reading(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its connection is cut, and the answer that waited for it is let go."""
-    monkeypatch.setattr(protocol, "DEAF_S", 0.2)
+    """The connection is cut, and the request ends."""
+    monkeypatch.setattr(protocol, "READ_TIMEOUT_S", 0.2)
     app = Large()
     app.go.set()
-    with serving(app) as address, socket.create_connection(address) as client:
+    with serving(app) as (address, _), socket.create_connection(address) as client:
         client.sendall(GET)
-        assert until_ended(app) == [None]
-        client.settimeout(20)
+        until(lambda: app.ended == [None])
+        client.settimeout(60)
         received = 0
         while data := client.recv(1 << 20):
             received += len(data)
         assert received < len(PIECE) * PIECES
 
 
-def test_a_client_that_leaves_a_short_answer_lying(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is cut off like any other, though the answer never filled a buffer."""
-    monkeypatch.setattr(protocol, "DEAF_S", 0.3)
-    with serving(Short()) as address, socket.socket() as client:
+def test_a_client_that_does_not_read_a_short_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The connection is cut although the write buffer was never full."""
+    monkeypatch.setattr(protocol, "READ_TIMEOUT_S", 0.3)
+    with serving(Short()) as (address, server), socket.socket() as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.connect(address)
         client.sendall(GET)
-        time.sleep(2)
-        client.settimeout(20)
+        until(lambda: bool(server.server_state.connections))
+        until(lambda: not server.server_state.connections)
+        client.settimeout(60)
         received = 0
         with contextlib.suppress(ConnectionResetError):
             while data := client.recv(1 << 16):
@@ -130,53 +136,63 @@ def test_a_client_that_leaves_a_short_answer_lying(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_client_that_reads_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It gets everything, though that takes longer than a deaf one is given."""
-    monkeypatch.setattr(protocol, "DEAF_S", 0.2)
-    app = Large()
-    app.go.set()
-    received, began = 0, time.monotonic()
-    with serving(app) as address, socket.create_connection(address) as client:
-        client.sendall(GET)
-        while received < len(PIECE) * PIECES:
-            received += len(client.recv(1 << 20))
-            time.sleep(0.01)
-    assert time.monotonic() - began > 0.4
-    assert app.ended == [None]
+    """The timer starts again as long as a part of the buffer is read in each period."""
+    monkeypatch.setattr(protocol, "READ_TIMEOUT_S", PERIOD)
+    made, loop, transport = connect(ServerProtocol)
+    transport.buffered = 1000
+    made.pause_writing()
+    for transport.buffered in (999, 500, 1):
+        loop.fire(PERIOD)
+        assert (transport.ended, len(loop.active(PERIOD))) == ("", 1)
+    loop.fire(PERIOD)
+    assert (transport.ended, loop.active(PERIOD)) == ("abort", [])
 
 
-@pytest.mark.parametrize("patient", [False, True])
-def test_a_body_that_nobody_reads(monkeypatch: pytest.MonkeyPatch, patient: bool) -> None:
-    """After an early answer the rest is thrown away for a while, and no longer than that."""
-    monkeypatch.setattr(protocol, "LINGER_S", 20.0 if patient else 0.2)
-    head = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 3000\r\n\r\n"
-    with serving(Refusal()) as address, socket.create_connection(address) as client:
-        client.settimeout(20)
+def test_a_client_that_reads_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The timer is cancelled when the buffer is no longer full."""
+    monkeypatch.setattr(protocol, "READ_TIMEOUT_S", PERIOD)
+    made, loop, transport = connect(ServerProtocol)
+    transport.buffered = 1000
+    made.pause_writing()
+    made.resume_writing()
+    assert (loop.active(PERIOD), transport.ended) == ([], "")
+
+
+def test_a_body_that_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an early answer the body is received for a limited time, then the client is cut off."""
+    monkeypatch.setattr(protocol, "LINGER_S", 0.2)
+    head = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 1000000000\r\n\r\n"
+    with serving(Refusal()) as (address, server), socket.create_connection(address) as client:
+        client.settimeout(60)
         client.sendall(head)
         assert client.recv(1000).startswith(b"HTTP/1.1 413 ")
-        with contextlib.ExitStack() as ends:
-            if not patient:
-                ends.enter_context(pytest.raises((ConnectionResetError, BrokenPipeError)))
-            for _ in range(30):
-                client.sendall(bytes(100))
-                time.sleep(0.02)
-            # The connection is as good as before.
+        until(lambda: not server.server_state.connections)
+        with contextlib.suppress(ConnectionResetError):
+            assert client.recv(1000) == b""
+
+
+def test_a_refused_body_that_ends() -> None:
+    """If the rest of a refused body arrives in time, the connection serves the next request."""
+    head = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 3000\r\n\r\n"
+    with serving(Refusal()) as (address, _), socket.create_connection(address) as client:
+        client.settimeout(60)
+        for _ in range(2):
             client.sendall(head)
-            if not client.recv(1000):
-                raise ConnectionResetError
-            assert patient
+            assert client.recv(1000).startswith(b"HTTP/1.1 413 ")
+            client.sendall(bytes(3000))
 
 
-def test_requests_in_one_breath_of_a_client_that_leaves() -> None:
-    """Answering the first one into a closed connection is no error, and the rest is not begun."""
+def test_pipelined_requests_of_a_client_that_leaves() -> None:
+    """The first request ends without an error, and the pipelined ones are not started."""
     app = Large()
-    with serving(app) as address:
+    with serving(app) as (address, server):
         client = socket.create_connection(address)
         client.sendall(GET * 3)
-        assert app.begun.wait(20)
+        assert app.begun.wait(60)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         client.close()
-        time.sleep(0.3)
+        until(lambda: not server.server_state.connections)
         app.go.set()
-        assert until_ended(app) == [None]
-        time.sleep(0.3)
-        assert app.ended == [None]
+        until(lambda: bool(app.ended))
+    # The server has stopped, so no request can begin any more.
+    assert (app.ended, app.calls) == ([None], 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The query of /upsample: each option, its range, and nothing else."""
+"""The query of /upsample: all options with their ranges."""
 
 from typing import Any
 
@@ -11,12 +11,12 @@ from pugeo_service.http.query import UpsampleQuery
 
 
 def test_defaults_are_the_models() -> None:
-    """No query means what the model means by no options."""
+    """The defaults are those of the model."""
     assert Options(**UpsampleQuery().for_model()) == Options()
 
 
 def test_everything_reaches_the_model() -> None:
-    """Each option arrives under the model's own name."""
+    """Each option is passed to the model under its name there."""
     query = UpsampleQuery(R=2.5, orient="viewpoint", viewpoint="1,-2,3e1", seed=7)
     assert Options(**query.for_model()) == Options(
         ratio=2.5, orient="viewpoint", viewpoint=(1.0, -2.0, 30.0), seed=7
@@ -48,13 +48,13 @@ def test_everything_reaches_the_model() -> None:
     ],
 )
 def test_what_is_out_of_range(query: dict[str, Any]) -> None:
-    """Every value that the model could not use is refused before any work."""
+    """A value out of its range is refused."""
     with pytest.raises(ValidationError):
         UpsampleQuery(**query)
 
 
 def test_an_unknown_option_is_answered_with_the_known_ones() -> None:
-    """Whoever misspells an option learns the right names."""
+    """The error for an unknown option lists all options."""
     with pytest.raises(ValidationError) as caught:
         UpsampleQuery.model_validate({"ratio": "4"})
     error = caught.value.errors()[0]

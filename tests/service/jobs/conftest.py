@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The jobs API whole, with a real database and real files; only the engine is played."""
+"""The jobs API with a real database and real files, and a fake engine."""
 
 import asyncio
 import os
@@ -22,10 +22,11 @@ from pugeo_service import app as app_module
 from pugeo_service.app import create_app
 from pugeo_service.engine import EngineLostError, RunRequest, RunResult, WorkerLostError
 from pugeo_service.engine.engine import Status
-from pugeo_service.jobs.manager import Jobs
+from pugeo_service.jobs.manager import JobManager
 from pugeo_service.settings import Settings
 from pugeo_service.storage.spool import Spool
 
+WAIT_S = 60.0  # a limit for conditions that hold within milliseconds on an idle machine
 REPORT = {
     "points_in": 4,
     "points_out": 8,
@@ -34,10 +35,10 @@ REPORT = {
 }
 
 
-class PlayedEngine:
-    """Does to bytes what the real one does to clouds: the same each time, in so many patches.
+class FakeEngine:
+    """Fake engine: a deterministic answer in four patches.
 
-    ``hold`` keeps it from finishing; the body decides what goes wrong.
+    ``hold`` delays the end of all runs; the body selects an error.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -105,14 +106,14 @@ class House:
     """One running service.
 
     Attributes:
-        http: talks to it.
-        engine: what it works with.
-        jobs: its jobs.
-        folder: of its jobs.
+        http: client of the service.
+        engine: its fake engine.
+        jobs: its job manager.
+        folder: folder of jobs.
     """
 
     def __init__(
-        self, http: httpx2.AsyncClient, engine: PlayedEngine, jobs: Jobs, folder: Path
+        self, http: httpx2.AsyncClient, engine: FakeEngine, jobs: JobManager, folder: Path
     ) -> None:
         self.http = http
         self.engine = engine
@@ -128,10 +129,7 @@ class House:
 
     async def until_open(self) -> None:
         """Wait until jobs are accepted."""
-        end = time.monotonic() + 20
-        while (await self.http.get("/jobs")).status_code != 200:
-            assert time.monotonic() < end
-            await asyncio.sleep(0.01)
+        await self.until_status("/jobs", 200)
 
     async def get(self, job_id: str) -> Any:
         """The JSON of a job."""
@@ -141,18 +139,26 @@ class House:
 
     async def until(self, job_id: str, *states: str) -> Any:
         """Wait until a job is in one of some states."""
-        end = time.monotonic() + 20
+        end = time.monotonic() + WAIT_S
         while (job := await self.get(job_id))["state"] not in states:
             assert time.monotonic() < end, job
             await asyncio.sleep(0.01)
         return job
 
     async def eventually(self, check: Callable[[], bool]) -> None:
-        """Wait until something is true."""
-        end = time.monotonic() + 20
+        """Wait until a condition holds."""
+        end = time.monotonic() + WAIT_S
         while not check():
             assert time.monotonic() < end
             await asyncio.sleep(0.01)
+
+    async def until_status(self, path: str, status: int) -> Any:
+        """Repeat a GET until it has a status; return the answer."""
+        end = time.monotonic() + WAIT_S
+        while (answer := await self.http.get(path)).status_code != status:
+            assert time.monotonic() < end, answer.text
+            await asyncio.sleep(0.01)
+        return answer
 
     def names(self, folder: str) -> list[str]:
         """The names of the files in one of the folders."""
@@ -165,11 +171,11 @@ Open = Callable[..., Any]
 @pytest.fixture
 def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: str | None) -> Open:
     """Start a service: ``async with open_house(jobs_running=1) as house``; again for a restart."""
-    monkeypatch.setattr(app_module, "Engine", PlayedEngine)
-    monkeypatch.setattr("pugeo_service.jobs.runner._LOOK_S", 0.05)
-    monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 0.02)
-    monkeypatch.setattr("pugeo_service.jobs.maintenance._ROUND_S", 0.05)
-    monkeypatch.setattr("pugeo_service.jobs.completion._AGAIN_S", 0.05)
+    monkeypatch.setattr(app_module, "Engine", FakeEngine)
+    monkeypatch.setattr("pugeo_service.jobs.runner._POLL_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.runner._PROGRESS_S", 0.02)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._INTERVAL_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._DATABASE_RETRY_S", 0.05)
 
     @asynccontextmanager
     async def opened(**settings: Any) -> AsyncIterator[House]:
@@ -186,7 +192,7 @@ def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: st
                 service = app.state.service
                 yield House(http, service.engine, service.jobs, chosen.jobs_folder)
         finally:
-            # As a server does it, whatever became of the test.
+            # As a server does, also after a failed test.
             await lifespan.__aexit__(None, None, None)
 
     return opened
@@ -208,7 +214,7 @@ def play(open_house: Open) -> Callable[..., None]:
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
 def database_url(request: pytest.FixtureRequest) -> str | None:
-    """Where jobs are: the default, SQLite in their folder, or an empty PostgreSQL database."""
+    """URL of the database: SQLite in the folder of jobs (``None``), or an empty PostgreSQL one."""
     if request.param == "sqlite":
         return None
     return str(request.getfixturevalue("postgres")())

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that end, in good order or not, and processes that share a folder."""
+"""Shutdowns and crashes of processes, and processes that share a folder."""
 
 import asyncio
+import os
 import signal
 import subprocess
 import sys
@@ -12,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.jobs import runner_queries
-from pugeo_service.jobs.process_lock import Presence
+from pugeo_service.jobs import repository
+from pugeo_service.jobs.process_lock import ProcessLock
 
 
-def test_a_drain_parks_what_runs(open_house: Any) -> None:
-    """The job goes back into the queue, uncounted, and is finished after the restart."""
+def test_a_drain_queues_running_jobs_again(open_house: Any) -> None:
+    """A running job is queued again without counting the attempt, and ends after the restart."""
 
     async def whole() -> None:
         async with open_house(jobs_running=1) as house:
@@ -41,18 +42,17 @@ def test_a_drain_parks_what_runs(open_house: Any) -> None:
     asyncio.run(whole())
 
 
-def test_the_jobs_of_the_dead_are_taken_over(open_house: Any) -> None:
-    """Another process finishes them; one that was only thought dead stops and spoils nothing."""
+def test_jobs_of_ended_processes_are_taken_over(open_house: Any) -> None:
+    """Another process finishes them; the first one, if it still runs, stops without an effect."""
 
     async def whole() -> None:
         async with open_house(jobs_running=1) as one:
             one.engine.hold.clear()
             job = await one.submit()
-            # The table says "running" a moment before the runner has heard of it: a drain in that
-            # moment gives the job back uncounted.
+            # The table says "running" just before the runner starts the job.
             await one.eventually(lambda: one.engine.running == 1)
-            one.jobs._runner._draining = True  # it begins nothing more
-            one.jobs._presence.leave()  # what the kernel does at a kill -9
+            one.jobs._runner._draining = True  # it starts no further job
+            one.jobs._lock.release()  # as the kernel does at a SIGKILL
             async with open_house(jobs_running=1) as other:
                 done = await other.until(job["id"], "succeeded")
                 assert done["attempts"] == 2
@@ -65,8 +65,8 @@ def test_the_jobs_of_the_dead_are_taken_over(open_house: Any) -> None:
     asyncio.run(whole())
 
 
-def test_a_job_that_ends_the_service(open_house: Any) -> None:
-    """It is begun so often and no more, then fails and says why; others are done."""
+def test_a_job_that_crashes_the_service(open_house: Any) -> None:
+    """After the maximum number of attempts the job fails; other jobs are finished."""
 
     async def whole() -> None:
         ids: dict[bytes, str] = {}
@@ -77,9 +77,9 @@ def test_a_job_that_ends_the_service(open_house: Any) -> None:
                     ids = {name: (await house.submit(name))["id"] for name in (b"bad", b"good")}
                 await house.until(ids[b"bad"], "running")
                 assert (await house.get(ids[b"bad"]))["attempts"] == attempt + 1
-                # The end comes without a word to the database.
-                house.jobs._presence.leave()
-                house.jobs._runner._settle = forget
+                # The process ends without an update of the database.
+                house.jobs._lock.release()
+                house.jobs._runner._completion = forget
         async with open_house(jobs_running=1, jobs_attempts=3) as house:
             failed = await house.until(ids[b"bad"], "failed")
             problem = failed["problem"]
@@ -90,7 +90,7 @@ def test_a_job_that_ends_the_service(open_house: Any) -> None:
             await house.eventually(lambda: house.names("inputs") == [])
 
     class Forget:
-        hurry = True
+        shutting_down = True
 
         async def __call__(self, *_: Any) -> None:
             pass
@@ -100,7 +100,7 @@ def test_a_job_that_ends_the_service(open_house: Any) -> None:
 
 
 def test_two_processes_share(open_house: Any) -> None:
-    """Each job is run by one of them, once, and each tells of all."""
+    """Each job runs once in one of two processes, and both serve all jobs."""
 
     async def whole() -> None:
         async with open_house() as one, open_house() as other:
@@ -120,7 +120,7 @@ def test_two_processes_share(open_house: Any) -> None:
 
 
 def test_orphans_are_swept(open_house: Any) -> None:
-    """At the start files without a job go, and those of jobs stay."""
+    """At the start files without a job are removed, and files of jobs are kept."""
 
     async def whole() -> None:
         async with open_house() as house:
@@ -140,8 +140,8 @@ def test_orphans_are_swept(open_house: Any) -> None:
     asyncio.run(whole())
 
 
-def test_the_files_of_the_living_are_not_swept(open_house: Any) -> None:
-    """What another process has on its way, its row not written yet, stays."""
+def test_files_of_running_processes_are_kept(open_house: Any) -> None:
+    """Files of another process whose row is not inserted yet are kept."""
 
     async def whole() -> None:
         async with open_house() as one:
@@ -157,21 +157,24 @@ def test_the_files_of_the_living_are_not_swept(open_house: Any) -> None:
     asyncio.run(whole())
 
 
-def test_what_comes_while_the_sweep_looks(open_house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that appears after the table was read stays, also where nobody else was there."""
+def test_files_made_during_the_sweep_are_kept(
+    open_house: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that appears after the query of the table is kept."""
 
     async def whole() -> None:
         async with open_house() as house:
             late = house.folder / "inputs" / "late"
-        wanted = runner_queries.wanted
+        wanted = repository.wanted_files
 
         def meanwhile(connection: Any) -> Any:
             found = wanted(connection)
-            time.sleep(0.05)
             late.write_bytes(b"whole")
+            # The time of a file may have a coarser clock than `time.time`.
+            os.utime(late, (time.time() + 1, time.time() + 1))
             return found
 
-        monkeypatch.setattr(runner_queries, "wanted", meanwhile)
+        monkeypatch.setattr(repository, "wanted_files", meanwhile)
         async with open_house() as house:
             assert house.names("inputs") == ["late"]
 
@@ -180,7 +183,7 @@ def test_what_comes_while_the_sweep_looks(open_house: Any, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("harm", ["gone", "changed"])
 def test_an_input_that_was_lost(open_house: Any, harm: str) -> None:
-    """A file that is gone or changed fails its job, and no result is made of it."""
+    """A job whose input is missing or changed fails and has no result."""
 
     async def whole() -> None:
         async with open_house(jobs_running=1) as house:
@@ -201,16 +204,14 @@ def test_an_input_that_was_lost(open_house: Any, harm: str) -> None:
 
 
 def test_a_claim_whose_answer_was_lost(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job that is marked as run here and is not goes back into the queue."""
-    monkeypatch.setattr("pugeo_service.jobs.runner._STRAY_S", 0.2)
+    """A job that is assigned to this process but does not run is queued again."""
+    monkeypatch.setattr("pugeo_service.jobs.runner._UNKNOWN_S", 0.2)
 
     async def scenario(house: Any) -> None:
         runner = house.jobs._runner
         runner._limit, limit = 0, runner._limit
         job = await house.submit()
-        await house.jobs._database.write(
-            runner_queries.claim, house.jobs._presence.name, time.time()
-        )
+        await house.jobs._database.write(repository.claim, house.jobs._lock.name, time.time())
         runner._limit = limit
         done = await house.until(job["id"], "succeeded")
         assert done["attempts"] == 2
@@ -218,26 +219,26 @@ def test_a_claim_whose_answer_was_lost(play: Any, monkeypatch: pytest.MonkeyPatc
     play(scenario)
 
 
-def test_a_killed_process_is_dead(tmp_path: Path) -> None:
-    """Its lock goes with it, at once; while it lives, even stopped, it counts as alive."""
+def test_a_killed_process_has_ended(tmp_path: Path) -> None:
+    """Its lock is released at once; a stopped process still counts as running."""
     code = (
-        "import sys, time; from pathlib import Path; from pugeo_service.jobs.process_lock import "
-        "Presence; p = Presence(Path(sys.argv[1])); p.enter(); print(p.name, flush=True); "
-        "time.sleep(60)"
+        "import signal, sys; from pathlib import Path; from pugeo_service.jobs.process_lock import "
+        "ProcessLock; p = ProcessLock(Path(sys.argv[1])); p.acquire(); print(p.name, flush=True); "
+        "signal.pause()"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         name = other.stdout.readline().strip()
-        presence = Presence(tmp_path)
-        presence.enter()
-        assert presence.alive(name)
-        assert not presence.alone
+        lock = ProcessLock(tmp_path)
+        lock.acquire()
+        assert lock.is_alive(name)
+        assert not lock.is_only_process
         other.send_signal(signal.SIGSTOP)
-        assert presence.dead([name, presence.name, "never"]) == ["never"]
+        assert lock.ended([name, lock.name, "never"]) == ["never"]
         other.kill()
         other.wait()
-        assert presence.dead([name]) == [name]
-        assert presence.alone
-        presence.leave()
+        assert lock.ended([name]) == [name]
+        assert lock.is_only_process
+        lock.release()
     assert list((tmp_path / "runners").iterdir()) == []

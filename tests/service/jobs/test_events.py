@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GET /jobs/{id}/events: what is told, in which order, and when it ends."""
+"""GET /jobs/{id}/events: events, their order, and the end of the stream."""
 
 import asyncio
 import dataclasses
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.jobs.change_feed import Watch
+from pugeo_service.jobs.change_feed import ChangeFeed
 from pugeo_service.jobs.events import stream
 from pugeo_service.jobs.models import Job
 
@@ -20,7 +20,7 @@ JOB = Job(
 
 
 def events(text: str) -> list[tuple[str, int, Any]]:
-    """Name, id and data of each event; comments and the rest left out."""
+    """Name, id and data of each event, without comments."""
     found = []
     for block in text.split("\n\n"):
         fields = dict(line.split(": ", 1) for line in block.splitlines() if line[:1] != ":")
@@ -30,14 +30,17 @@ def events(text: str) -> list[tuple[str, int, Any]]:
 
 
 def test_a_whole_life(play: Any) -> None:
-    """State, progress, and one end, with ids that grow; then the stream is over."""
+    """State, progress, and one end, with growing ids; then the stream ends."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
         job = await house.submit()
         call = asyncio.create_task(house.http.get(f"/jobs/{job['id']}/events"))
-        await house.until(job["id"], "running")
-        await asyncio.sleep(0.3)
+        await house.eventually(lambda: bool(house.jobs.changes._subscribers))
+        with house.jobs.changes.subscribe(job["id"]) as changes:
+            # Each change reaches all subscribers at the same time.
+            while (await changes.get()).patches_total is None:
+                pass
         house.engine.hold.set()
         answer = await call
         assert answer.headers["content-type"].startswith("text/event-stream")
@@ -45,20 +48,20 @@ def test_a_whole_life(play: Any) -> None:
         names = [name for name, _, _ in told]
         assert names[0] == "state"
         assert names[-2:] == ["state", "end"]
-        # One that comes while the stream is opened is told with the state.
+        # Progress made before the stream was opened is part of the first state.
         progress = [data.get("progress", data) for _, _, data in told]
         assert {"stage": "predict", "done": 1, "total": 4} in progress
         ids = [number for _, number, _ in told]
         assert ids == sorted(ids)
         assert len(set(ids[:-1])) == len(ids) - 1
         assert told[-1][2]["state"] == "succeeded"
-        assert not house.jobs.watch._watchers
+        assert not house.jobs.changes._subscribers
 
     play(scenario)
 
 
 def test_a_client_that_comes_back(play: Any) -> None:
-    """Last-Event-ID spares it what it has; one that is no id of this job is as none."""
+    """Last-Event-ID skips known events; an id that is not of this job is ignored."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -75,7 +78,7 @@ def test_a_client_that_comes_back(play: Any) -> None:
 
 
 def test_a_job_of_another_process(open_house: Any) -> None:
-    """Changes made elsewhere are told too."""
+    """Changes made by another process are sent too."""
 
     async def whole() -> None:
         async with open_house(jobs_running=1) as one:
@@ -84,7 +87,7 @@ def test_a_job_of_another_process(open_house: Any) -> None:
             await one.until(job["id"], "running")
             async with open_house() as other:
                 call = asyncio.create_task(other.http.get(f"/jobs/{job['id']}/events"))
-                await asyncio.sleep(0.2)
+                await other.eventually(lambda: bool(other.jobs.changes._subscribers))
                 one.engine.hold.set()
                 told = events((await call).text)
                 assert [name for name, _, _ in told][-2:] == ["state", "end"]
@@ -93,16 +96,16 @@ def test_a_job_of_another_process(open_house: Any) -> None:
 
 
 def test_a_drain_ends_streams(play: Any) -> None:
-    """Streams are closed without an end, so that clients come back; new ones are refused."""
+    """Streams are closed without an end event; new ones are refused."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
         job = await house.submit()
         await house.until(job["id"], "running")
         call = asyncio.create_task(house.http.get(f"/jobs/{job['id']}/events"))
-        await house.eventually(lambda: bool(house.jobs.watch._watchers))
+        await house.eventually(lambda: bool(house.jobs.changes._subscribers))
         house.jobs.drain()
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(60):
             answer = await call
         assert "end" not in [name for name, _, _ in events(answer.text)]
         assert "retry: 2000" in answer.text
@@ -113,7 +116,7 @@ def test_a_drain_ends_streams(play: Any) -> None:
 
 
 def test_the_end_of_watching_stands() -> None:
-    """An answer of the database that comes after the end does not replace it."""
+    """A query that ends after the close of the feed does not replace the end."""
 
     async def scenario() -> Job | None:
         asked, answered = asyncio.Event(), asyncio.Event()
@@ -123,29 +126,31 @@ def test_the_end_of_watching_stands() -> None:
             await answered.wait()
             return [JOB]
 
-        watch = Watch(fetch)
-        looking = asyncio.create_task(watch.run())
-        with watch.following(JOB.id) as changes:
+        feed = ChangeFeed(fetch)
+        running = asyncio.create_task(feed.run())
+        with feed.subscribe(JOB.id) as changes:
             await asked.wait()
-            watch.close()
+            feed.close()
+            asked.clear()
             answered.set()
-            await asyncio.sleep(0.05)
+            feed.notify()
+            await asked.wait()  # the first query is processed, since the second one has begun
             latest = changes.get_nowait()
-        looking.cancel()
-        await asyncio.gather(looking, return_exceptions=True)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
         return latest
 
     assert asyncio.run(scenario()) is None
 
 
 def test_cancelling_ends_the_stream(play: Any) -> None:
-    """The last event tells that the job was cancelled."""
+    """The last event of a cancelled job has the state cancelled."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
         job = await house.submit()
         call = asyncio.create_task(house.http.get(f"/jobs/{job['id']}/events"))
-        await house.eventually(lambda: bool(house.jobs.watch._watchers))
+        await house.eventually(lambda: bool(house.jobs.changes._subscribers))
         await house.http.delete(f"/jobs/{job['id']}")
         name, _, data = events((await call).text)[-1]
         assert (name, data["state"]) == ("end", "cancelled")
@@ -154,7 +159,7 @@ def test_cancelling_ends_the_stream(play: Any) -> None:
 
 
 def test_silence_is_filled() -> None:
-    """While nothing happens a comment is sent from time to time; changes are told once."""
+    """Comments are sent during silence; each change is sent once."""
 
     async def told() -> list[bytes]:
         changes: asyncio.Queue[Job | None] = asyncio.Queue()
@@ -174,45 +179,50 @@ def test_silence_is_filled() -> None:
 
 
 def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One more than the bound is refused; those that left make room."""
+    """A subscription beyond the bound is refused; an ended one makes room."""
     from pugeo_service.problems import ProblemError
 
-    monkeypatch.setattr("pugeo_service.jobs.change_feed._MOST_WATCHERS", 2)
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._MAX_SUBSCRIBERS", 2)
 
     async def nothing(_: list[str]) -> list[Job]:
         return []
 
     async def scenario() -> None:
-        watch = Watch(nothing)
-        with watch.following("a"):
-            with watch.following("a"), pytest.raises(ProblemError):
-                watch.check()
-            watch.check()
+        feed = ChangeFeed(nothing)
+        with feed.subscribe("a"):
+            with feed.subscribe("a"), pytest.raises(ProblemError):
+                feed.check_capacity()
+            feed.check_capacity()
 
     asyncio.run(scenario())
 
 
-def test_a_slow_watcher_gets_the_latest() -> None:
-    """What it did not take is replaced, so that it costs no memory; a job that is gone ends it."""
+def test_a_slow_subscriber_gets_the_latest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A state that was not taken is replaced by a later one; a missing job is the end."""
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._POLL_S", 600.0)
 
     async def scenario() -> list[Job | None]:
         answers = [[dataclasses.replace(JOB, revision=r)] for r in (2, 3, 4)]
         served = iter([*answers, []])
 
+        asked = asyncio.Event()
+
         async def fetch(_: list[str]) -> list[Job]:
+            asked.set()
             return next(served)
 
-        watch = Watch(fetch)
-        looking = asyncio.create_task(watch.run())
-        with watch.following("1") as changes:
+        feed = ChangeFeed(fetch)
+        running = asyncio.create_task(feed.run())
+        with feed.subscribe("1") as changes:
             for _ in range(3):
-                watch.changed()
-                await asyncio.sleep(0.01)
+                asked.clear()
+                feed.notify()
+                await asked.wait()
             taken = [changes.get_nowait()]
-            watch.changed()
+            feed.notify()
             taken.append(await changes.get())
-        looking.cancel()
-        await asyncio.gather(looking, return_exceptions=True)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
         return taken
 
     latest, gone = asyncio.run(scenario())

@@ -6,7 +6,7 @@ from typing import Any
 
 
 def test_the_same_again(play: Any) -> None:
-    """Same key, options and body: one job, run once; 202 while it is active, then 200."""
+    """Same key, options and body give one job, run once; 202 while it is active, then 200."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -27,7 +27,7 @@ def test_the_same_again(play: Any) -> None:
 
 
 def test_another_request_under_the_same_key(play: Any) -> None:
-    """Another body, or other options, is a 422 that names the job; nothing is left behind."""
+    """Another body or other options give a 422 that names the job; no file is left."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -47,7 +47,7 @@ def test_another_request_under_the_same_key(play: Any) -> None:
 
 
 def test_many_at_once(play: Any) -> None:
-    """Ten at the same moment are one job."""
+    """Ten simultaneous requests give one job."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -62,7 +62,7 @@ def test_many_at_once(play: Any) -> None:
 
 
 def test_a_full_queue_knows_its_keys(play: Any) -> None:
-    """A retry of what was accepted is answered even where nothing new is let in."""
+    """A repeated request is answered even if the capacity is exhausted."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -75,7 +75,7 @@ def test_a_full_queue_knows_its_keys(play: Any) -> None:
 
 
 def test_keys_outlive_a_restart(open_house: Any) -> None:
-    """A client that did not get its 202 before the service ended gets the same job after it."""
+    """A request that is repeated after a restart returns the same job."""
 
     async def whole() -> None:
         async with open_house() as house:

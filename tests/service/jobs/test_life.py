@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The life of a job, from 202 to its end."""
+"""The life cycle of a job, from 202 to its end."""
 
 import asyncio
 import hashlib
@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from pugeo_model.errors import MalformedFileError
+from pugeo_service.problems import ProblemError
 
 
 def test_a_job_from_beginning_to_end(play: Any) -> None:
-    """It is accepted, runs with its options in the background, and has result and report."""
+    """A job is accepted, runs with its options in the background, and has result and report."""
 
     async def scenario(house: Any) -> None:
         answer = await house.http.post("/jobs?R=2&seed=5&format=xyz", content=b"cloud")
@@ -40,7 +41,7 @@ def test_a_job_from_beginning_to_end(play: Any) -> None:
 
 
 def test_progress_is_told(play: Any) -> None:
-    """While it runs, the job tells its stage and its patches, and its result is a 409."""
+    """A running job has stage and patches as progress, and its result is a 409."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -64,7 +65,7 @@ def test_progress_is_told(play: Any) -> None:
      (b"bug", 500, "internal_error")],
 )  # fmt: skip
 def test_a_job_that_fails(play: Any, body: bytes, status: int, code: str) -> None:
-    """The problem is that of /upsample, in the job and at its result; nothing stays on disk."""
+    """Job and result have the problem that /upsample would have; no file is left."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit(body)
@@ -83,7 +84,7 @@ def test_a_job_that_fails(play: Any, body: bytes, status: int, code: str) -> Non
 
 
 def test_a_job_of_malformed_bytes_tells_where(play: Any) -> None:
-    """Members that the model adds to an error reach the client."""
+    """Fields of an error of the model are part of the problem."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit(b"malformed")
@@ -93,11 +94,11 @@ def test_a_job_of_malformed_bytes_tells_where(play: Any) -> None:
 
 
 def test_an_engine_that_is_gone_is_waited_for(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lost scheduler is no fault of the job: it goes back into the queue, uncounted."""
-    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_BACK_S", 0.1)
+    """After the loss of the scheduler the job is queued again without counting the attempt."""
+    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_RETRY_S", 0.1)
 
     async def scenario(house: Any) -> None:
-        house.engine.lose = 7  # more often than a job may be begun
+        house.engine.lose = 7  # more than the maximum number of attempts
         job = await house.submit()
         done = await house.until(job["id"], "succeeded", "failed")
         assert (done["state"], done["attempts"]) == ("succeeded", 1)
@@ -107,7 +108,7 @@ def test_an_engine_that_is_gone_is_waited_for(play: Any, monkeypatch: pytest.Mon
 
 
 def test_a_few_at_a_time_in_order(play: Any) -> None:
-    """No more run than the setting says, and who came first begins first."""
+    """At most `jobs_running` jobs run, in the order of submission."""
 
     async def scenario(house: Any) -> None:
         bodies = [b"cloud %d" % number for number in range(6)]
@@ -122,7 +123,7 @@ def test_a_few_at_a_time_in_order(play: Any) -> None:
 
 
 def test_jobs_keep_no_request_out(play: Any) -> None:
-    """While jobs fill their own account of the queue, /upsample is served."""
+    """Jobs have a separate queue, so a full one does not affect /upsample."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -140,16 +141,26 @@ def test_jobs_keep_no_request_out(play: Any) -> None:
     play(scenario, jobs_running=2, queue_patches=4, queue_requests=1)
 
 
-def test_a_job_waits_for_the_patches_of_another(play: Any) -> None:
-    """One that leaves no room keeps the next waiting, and does not make it fail."""
+def test_a_job_waits_for_the_patches_of_another(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A job that does not fit into the queue waits and does not fail."""
+    monkeypatch.setattr("pugeo_service.jobs.execution._ADMISSION_RETRY_S", 0.01)
+    refused: list[int] = []
 
     async def scenario(house: Any) -> None:
+        queue_full = house.jobs.admission.queue_full
+
+        def counted(patches: int) -> ProblemError:
+            refused.append(patches)
+            problem: ProblemError = queue_full(patches)
+            return problem
+
+        house.jobs.admission.queue_full = counted
         house.engine.hold.clear()
         first = await house.submit(b"first")
         await house.eventually(lambda: house.jobs.admission.patches >= 3)
         second = await house.submit(b"second")
         assert (await house.until(second["id"], "running", "failed"))["state"] == "running"
-        await asyncio.sleep(0.1)
+        await house.eventually(lambda: len(refused) >= 2)
         assert house.engine.began == [b"first"]
         house.engine.hold.set()
         for job in (first, second):
@@ -159,7 +170,7 @@ def test_a_job_waits_for_the_patches_of_another(play: Any) -> None:
 
 
 def test_an_error_with_strange_numbers(play: Any) -> None:
-    """Those of numpy, those that are none and those of many digits end a job as any others."""
+    """A problem with numpy numbers, NaN and very large integers can be stored."""
 
     async def scenario(house: Any) -> None:
         def go_wrong(_: bytes) -> None:
@@ -177,7 +188,7 @@ def test_an_error_with_strange_numbers(play: Any) -> None:
 
 
 def test_a_job_has_a_deadline(play: Any) -> None:
-    """One that runs too long fails with 504, and the next one is begun."""
+    """A job that exceeds its time limit fails with 504."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -191,7 +202,7 @@ def test_a_job_has_a_deadline(play: Any) -> None:
 
 
 def test_options_are_checked_before_the_202(play: Any) -> None:
-    """What /upsample refuses at once is refused at once here, and leaves nothing behind."""
+    """Errors that /upsample reports at once are reported at once; no file is left."""
 
     async def scenario(house: Any) -> None:
         cases: list[tuple[str, bytes, dict[str, str], int, str]] = [
@@ -214,7 +225,7 @@ def test_options_are_checked_before_the_202(play: Any) -> None:
 
 
 def test_metrics(play: Any) -> None:
-    """Each state is counted once, and what is active is a gauge."""
+    """Each change of state is counted once; active jobs are a gauge."""
 
     async def scenario(house: Any) -> None:
         good = await house.submit()

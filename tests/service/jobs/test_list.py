@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GET /jobs, and who sees what."""
+"""GET /jobs, and jobs of different owners."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from pugeo_service.keys import Entry, hash_of
 
 
 def test_pages(play: Any) -> None:
-    """Newest first, in pages that neither repeat nor leave out, also while jobs are added."""
+    """Newest first, in pages without repetition or gap, also while jobs are added."""
 
     async def scenario(house: Any) -> None:
         ids = [(await house.submit(b"cloud %d" % number))["id"] for number in range(5)]
@@ -24,7 +24,7 @@ def test_pages(play: Any) -> None:
 
 
 def test_states(play: Any) -> None:
-    """?state= keeps the others out; a state that is none is a 422, as a limit out of range."""
+    """?state= selects jobs; an unknown state or a limit out of range is a 422."""
 
     async def scenario(house: Any) -> None:
         good, bad = await house.submit(), await house.submit(b"malformed")
@@ -39,7 +39,7 @@ def test_states(play: Any) -> None:
 
 
 def test_jobs_belong_to_their_keys(play: Any) -> None:
-    """Another key neither lists, sees, fetches, watches nor cancels a job; names are its own."""
+    """Another key can neither list, read, fetch, watch nor cancel a job."""
 
     async def scenario(house: Any) -> None:
         mine, theirs = ({"Authorization": f"Bearer {name}"} for name in ("mine", "theirs"))

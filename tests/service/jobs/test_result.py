@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The result over HTTP: whole, in parts, or not at all."""
+"""The result over HTTP, with conditional and range requests."""
 
 import base64
 import hashlib
@@ -28,7 +28,7 @@ CASES: list[tuple[dict[str, str], int, bytes]] = [
 
 
 def test_conditions_and_ranges(play: Any) -> None:
-    """Each combination gets the status and the bytes that RFC 9110 asks for."""
+    """Each combination of headers gets status and bytes as in RFC 9110."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -46,7 +46,7 @@ def test_conditions_and_ranges(play: Any) -> None:
 
 
 def test_what_headers_say(play: Any) -> None:
-    """Length, digest, expiry, a file name, and what was done, as /upsample says it; HEAD too."""
+    """Length, digest, expiry, file name and the headers of /upsample, also for HEAD."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -72,7 +72,7 @@ def test_what_headers_say(play: Any) -> None:
 
 
 def test_a_range_outside(play: Any) -> None:
-    """A range after the end is a 416 problem that tells the size."""
+    """A range after the end is a 416 problem with the size."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -87,7 +87,7 @@ def test_a_range_outside(play: Any) -> None:
 
 
 def test_a_file_that_somebody_removed(play: Any) -> None:
-    """It is a 410, and no error of the service."""
+    """A missing file is a 410."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()

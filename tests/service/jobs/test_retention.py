@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long things are kept, and how many."""
+"""Retention of results and rows, and the capacity for jobs."""
 
 import asyncio
 import dataclasses
@@ -9,13 +9,12 @@ from typing import Any
 import pytest
 from sqlalchemy import create_engine
 
-from pugeo_service.jobs import client_queries, runner_queries
-from pugeo_service.jobs.models import Job
-from pugeo_service.jobs.schema import metadata
+from pugeo_service.jobs import repository
+from pugeo_service.jobs.models import Job, metadata
 
 
 def test_results_expire(play: Any) -> None:
-    """After its time the file is gone, the job says expired, and its result is a 410."""
+    """After its time the result is deleted, the state is expired, and the result a 410."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -29,22 +28,22 @@ def test_results_expire(play: Any) -> None:
 
 
 def test_a_result_is_not_served_a_moment_too_long(play: Any, monkeypatch: Any) -> None:
-    """Its time counts, and not when somebody got round to deleting it."""
-    monkeypatch.setattr("pugeo_service.jobs.maintenance._ROUND_S", 60.0)
+    """After its time a result is refused, even before maintenance deletes it."""
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._INTERVAL_S", 3600.0)
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
         await house.until(job["id"], "succeeded")
-        await asyncio.sleep(0.4)
-        result = await house.http.get(f"/jobs/{job['id']}/result")
-        assert (result.status_code, result.json()["code"]) == (410, "result_gone")
+        result = await house.until_status(f"/jobs/{job['id']}/result", 410)
+        assert result.json()["code"] == "result_gone"
+        assert (await house.get(job["id"]))["state"] == "succeeded"
 
     play(scenario, jobs_ttl_s=0.3)
 
 
 def test_rows_are_forgotten(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Long after its end a job is a 404; one that is not finished is never forgotten."""
-    monkeypatch.setattr("pugeo_service.jobs.maintenance._REMEMBER_S", 0.2)
+    """The row of a finished job is deleted after its time; an active job is kept."""
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._KEEP_ROW_S", 0.2)
     monkeypatch.setattr("pugeo_service.jobs.maintenance._SWEEP_S", 0.0)
 
     async def scenario(house: Any) -> None:
@@ -52,9 +51,8 @@ def test_rows_are_forgotten(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         await house.until(bad["id"], "failed")
         house.engine.hold.clear()
         waiting = await house.submit()
-        await asyncio.sleep(0.6)
-        forgotten = await house.http.get(f"/jobs/{bad['id']}")
-        assert (forgotten.status_code, forgotten.json()["code"]) == (404, "unknown_job")
+        forgotten = await house.until_status(f"/jobs/{bad['id']}", 404)
+        assert forgotten.json()["code"] == "unknown_job"
         assert (await house.get(waiting["id"]))["state"] in {"queued", "running"}
         house.engine.hold.set()
 
@@ -62,7 +60,7 @@ def test_rows_are_forgotten(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_number_of_jobs_is_bounded(play: Any) -> None:
-    """One more than the bound is a 503 with Retry-After, before its body is read."""
+    """A job beyond the bound is a 503 with Retry-After."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -79,7 +77,7 @@ def test_the_number_of_jobs_is_bounded(play: Any) -> None:
 
 
 def test_the_bytes_of_jobs_are_bounded(play: Any) -> None:
-    """Inputs that wait and results that are kept count; deleting makes room."""
+    """Inputs and stored results count; deleting a result frees its bytes."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit(b"x" * 40)  # its result has 86
@@ -95,7 +93,7 @@ def test_the_bytes_of_jobs_are_bounded(play: Any) -> None:
 
 
 def test_many_at_once_keep_to_the_bound(play: Any) -> None:
-    """Of ten that come together no more are let in than there is room for."""
+    """Of ten simultaneous jobs only as many are accepted as the capacity allows."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -108,7 +106,7 @@ def test_many_at_once_keep_to_the_bound(play: Any) -> None:
 
 
 def test_more_expire_than_a_statement_has_parameters() -> None:
-    """However many results are over at once, after a long stop say, all of them expire."""
+    """More results expire at once than a statement may have parameters."""
     engine = create_engine("sqlite://")
     metadata.create_all(engine)
     job = Job(
@@ -119,12 +117,12 @@ def test_more_expire_than_a_statement_has_parameters() -> None:
     ids = [f"{number:032x}" for number in range(20)]
     with engine.begin() as connection:
         for name in ids:
-            client_queries.add(connection, dataclasses.replace(job, id=name), lambda *_: None)
+            repository.add(connection, dataclasses.replace(job, id=name), lambda *_: None)
         driver: Any = connection.connection.driver_connection
         driver.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 19)
-        assert sorted(runner_queries.expire(connection, 2.0)) == ids
-        assert runner_queries.expire(connection, 2.0) == []
-        assert {found.state for found in client_queries.page(connection, "", None, None, 99)} == {
+        assert sorted(repository.expire(connection, 2.0)) == ids
+        assert repository.expire(connection, 2.0) == []
+        assert {found.state for found in repository.list_page(connection, "", None, None, 99)} == {
             "expired"
         }
     engine.dispose()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the room for jobs one API key may take."""
+"""Fair shares of the capacity for jobs."""
 
 import asyncio
 from collections import Counter
@@ -18,7 +18,7 @@ async def post(house: Any, owner: str, body: Any = b"x", key: str | None = None)
 
 
 def test_one_owner_leaves_room_for_others(play: Any) -> None:
-    """Alone it comes to half of the jobs, then gets 429; only what is full for all is 503."""
+    """One owner reaches half of the jobs, then gets 429; an exhausted capacity is 503."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -42,7 +42,7 @@ def test_one_owner_leaves_room_for_others(play: Any) -> None:
 
 
 def test_a_share_is_told_before_the_body(play: Any) -> None:
-    """Nobody sends a large cloud in vain; a retry of what was accepted is answered all the same."""
+    """A share is checked before the body is read; a repeated request is still answered."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -66,13 +66,15 @@ def test_a_share_is_told_before_the_body(play: Any) -> None:
 
 
 def test_shares_hold_for_bytes(play: Any) -> None:
-    """Few large inputs use a share up as well, and kept results; alone, one may exceed it."""
+    """Shares hold for bytes of inputs and stored results."""
 
     async def scenario(house: Any) -> None:
         first = (await post(house, "ann", b"x" * 13)).json()
         ann = {"Authorization": "Bearer ann"}
         await house.eventually(lambda: house.names("results") == [first["id"]])
-        await house.eventually(lambda: house.names("inputs") == [])  # removed once that is noted
+        await house.eventually(
+            lambda: house.names("inputs") == []
+        )  # removed after the outcome is stored
         house.engine.hold.clear()
         refused = await post(house, "ann", b"x" * 40)  # the result has 32
         problem = refused.json()
@@ -88,7 +90,7 @@ def test_shares_hold_for_bytes(play: Any) -> None:
 
 
 def test_many_at_once_keep_to_the_share(play: Any) -> None:
-    """Of ten of one owner that come together no more are let in than its share."""
+    """Of ten simultaneous jobs of one owner only its share is accepted."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -100,7 +102,7 @@ def test_many_at_once_keep_to_the_share(play: Any) -> None:
 
 
 def test_without_keys_there_are_no_shares(play: Any) -> None:
-    """Nobody's jobs fill all of the room; only then it is full, and that is 503."""
+    """Without owners the whole capacity can be used; the next job gets 503."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()

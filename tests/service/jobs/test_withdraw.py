@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DELETE: cancelling, deleting, and doing so twice."""
+"""DELETE: cancelling jobs and deleting results."""
 
 import asyncio
 from typing import Any
 
 import pytest
 
-from pugeo_service.jobs.completion import Settlement
+from pugeo_service.jobs.completion import Completion
 from pugeo_service.jobs.models import Job
 
 
 def test_cancelling_what_waits(play: Any) -> None:
-    """It never begins, and its input goes at once."""
+    """A cancelled queued job never starts, and its input is removed at once."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -28,7 +28,7 @@ def test_cancelling_what_waits(play: Any) -> None:
 
 
 def test_cancelling_what_runs(play: Any) -> None:
-    """Its work ends, its patches leave the queue, its files go, and the next one begins."""
+    """A cancelled running job ends, frees its patches and files, and the next one starts."""
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -51,38 +51,38 @@ def test_cancelling_what_runs(play: Any) -> None:
 
 
 def test_cancelling_what_was_begun_anew(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job that is begun again before its first attempt has quite ended can still be stopped."""
-    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_BACK_S", 0.0)
-    monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 60.0)  # nothing else notices
+    """A job that starts again before the end of its first execution can be cancelled."""
+    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_RETRY_S", 0.0)
+    monkeypatch.setattr("pugeo_service.jobs.runner._PROGRESS_S", 60.0)  # only the event can stop it
 
     async def scenario(house: Any) -> None:
-        runner, settle = house.jobs._runner, Settlement.__call__
+        runner, complete = house.jobs._runner, Completion.__call__
         ended: list[str] = []
 
-        async def slowly(self: Settlement, job: Job, work: Any) -> None:
+        async def slowly(self: Completion, job: Job, work: Any) -> None:
             if ended:
-                await settle(self, job, work)
+                await complete(self, job, work)
                 return
             house.engine.hold.clear()
-            first = runner._halts[job.id]
-            await settle(self, job, work)
-            await house.eventually(lambda: runner._halts[job.id] is not first)
+            first = runner._stop_events[job.id]
+            await complete(self, job, work)
+            await house.eventually(lambda: runner._stop_events[job.id] is not first)
             ended.append(job.id)
 
-        monkeypatch.setattr(Settlement, "__call__", slowly)
+        monkeypatch.setattr(Completion, "__call__", slowly)
         house.engine.lose = 1
         job = await house.submit()
         await house.eventually(lambda: ended == [job["id"]] and len(runner._tasks) == 1)
         await house.eventually(lambda: house.engine.running == 1)
         assert (await house.http.delete(f"/jobs/{job['id']}")).json()["state"] == "cancelled"
         await house.eventually(lambda: house.engine.running == 0)
-        await house.eventually(lambda: runner._halts == {} and house.names("inputs") == [])
+        await house.eventually(lambda: runner._stop_events == {} and house.names("inputs") == [])
 
     play(scenario, jobs_running=2)
 
 
 def test_deleting_a_result(play: Any) -> None:
-    """The file is gone at once, the job says so, and its result is a 410."""
+    """The file is deleted at once, the state is expired, and the result a 410."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -97,7 +97,7 @@ def test_deleting_a_result(play: Any) -> None:
 
 
 def test_twice_is_once(play: Any) -> None:
-    """Deleting again changes nothing, whatever the state; an unknown job is a 404."""
+    """DELETE is idempotent in each state; an unknown job is a 404."""
 
     async def scenario(house: Any) -> None:
         job = await house.submit(b"malformed")
@@ -116,7 +116,7 @@ def test_twice_is_once(play: Any) -> None:
 
 
 def test_another_process_cancels(open_house: Any) -> None:
-    """A job that runs in one process is cancelled through another, and stops within a look."""
+    """A job that runs in one process can be cancelled through another."""
 
     async def whole() -> None:
         async with open_house(jobs_running=1) as one:

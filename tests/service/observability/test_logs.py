@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs are one JSON object a line, name the request, and hold nobody's data."""
+"""Logs: one JSON object per line, with the request id and without data of users."""
 
 import json
 import logging
@@ -24,13 +24,13 @@ def restored() -> Iterator[None]:
 
 
 def fail(points: list[str]) -> None:
-    """Raise with somebody's data in a variable."""
+    """Raise with data of a user in a variable."""
     copied = list(points)
     raise KeyError(len(copied))
 
 
 def logged(form: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """What an unexpected error writes."""
+    """Log of an unexpected error."""
     logs.configure(form, "info")
     logger = structlog.stdlib.get_logger("test")
     with structlog.contextvars.bound_contextvars(request_id="abc"):
@@ -43,7 +43,7 @@ def logged(form: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.mark.parametrize("form", ["json", "console"])
 def test_no_variable_is_logged(form: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A traceback tells where, and nothing of what was in hand there."""
+    """A traceback contains no values of variables."""
     text = logged(form, capsys)
     assert "KeyError" in text
     assert "test_logs.py" in text
@@ -67,7 +67,7 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_foreign_logs_have_the_same_form(capsys: pytest.CaptureFixture[str]) -> None:
-    """What libraries log is JSON too."""
+    """Logs of libraries are JSON too."""
     logs.configure("json", "info")
     extra = {"color_message": "\x1b[31mcareful\x1b[0m: %d", "port": 80}
     logging.getLogger("uvicorn.error").warning("careful: %d", 7, extra=extra)
@@ -82,5 +82,5 @@ def test_foreign_logs_have_the_same_form(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_machines_get_json(capsys: pytest.CaptureFixture[str]) -> None:
-    """Where stderr is no terminal, as in production, auto means JSON."""
+    """If stderr is not a terminal, auto means JSON."""
     assert json.loads(logged("auto", capsys))["event"] == "unexpected error"

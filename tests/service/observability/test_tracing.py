@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Traces are made where they are asked for, hang on the caller's, and cost nothing otherwise."""
+"""OpenTelemetry traces of requests and their stages."""
 
 import importlib.util
 import subprocess
@@ -28,7 +28,7 @@ SECOND = 1_000_000_000
 
 @pytest.fixture
 def spans(monkeypatch: pytest.MonkeyPatch) -> Iterator[InMemorySpanExporter]:
-    """Where the spans of a test end up."""
+    """Exporter of the spans of a test."""
     exporter = InMemorySpanExporter()
     provider = TracerProvider()
     provider.add_span_processor(SimpleSpanProcessor(exporter))
@@ -39,7 +39,7 @@ def spans(monkeypatch: pytest.MonkeyPatch) -> Iterator[InMemorySpanExporter]:
 
 
 def served() -> TestClient:
-    """An application with our tracing, a route that has stages, and a probe."""
+    """An application with tracing, a route with stages, and a probe."""
     app = FastAPI(telemetry=tracing.configuration())
     card = {"name": "standard", "version": "1", "sha256": "0"}
     telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1", card)
@@ -61,7 +61,7 @@ def served() -> TestClient:
 
 
 def test_a_request_and_its_stages(spans: InMemorySpanExporter) -> None:
-    """The stages hang on the request, the request on the caller's span; logs name the trace."""
+    """Stages are children of the request, which is a child of the caller's span."""
     answer = served().post("/upsample?R=2", headers={**PARENT, "X-Request-ID": "mine"})
     assert answer.json() == {"trace_id": TRACE_ID}
     found = {span.name: span for span in spans.get_finished_spans()}
@@ -79,7 +79,7 @@ def test_a_request_and_its_stages(spans: InMemorySpanExporter) -> None:
 
 
 def test_probes_are_not_traced(spans: InMemorySpanExporter) -> None:
-    """They would drown everything else."""
+    """Probes have no spans."""
     served().get("/health/live", headers=PARENT)
     assert spans.get_finished_spans() == ()
 
@@ -87,7 +87,7 @@ def test_probes_are_not_traced(spans: InMemorySpanExporter) -> None:
 def test_when_stages_begin_and_end(
     spans: InMemorySpanExporter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each ends where the next begins; the time waited and read comes out of the first."""
+    """Each stage ends where the next begins; queue and read are parts of the first."""
     now = 0
     monkeypatch.setattr(time, "time_ns", lambda: now)
     stages = StageSpans()
@@ -116,9 +116,9 @@ def run(code: str, root: Path, **environment: str) -> str:
 
 
 def test_nothing_is_loaded_unless_asked_for(root: Path) -> None:
-    """Without the variable, neither SDK nor exporter is imported, and nothing is configured."""
+    """Without the variable neither SDK nor exporter is imported."""
     code = (
-        "from pugeo_service import server, tracing; "
+        "from pugeo_service import server; from pugeo_service.observability import tracing; "
         "print(tracing.configuration()['auto_configure'], "
         "[m for m in sys.modules if m.startswith(('opentelemetry.sdk', 'opentelemetry.exp'))])"
     )
@@ -128,7 +128,7 @@ def test_nothing_is_loaded_unless_asked_for(root: Path) -> None:
 
 
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever asks for traces without what sends them learns what to install."""
+    """If traces are configured but cannot be sent, the hint names the extra."""
     assert tracing.missing_extra() is None
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:4318")
     assert tracing.missing_extra() is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Another process writes into a file without a name, and into no other."""
+"""Files without a name that other processes write into."""
 
 import asyncio
 import errno
@@ -24,7 +24,7 @@ DATA = np.arange(256, dtype=np.uint8).repeat(20_000)
 
 
 def test_another_process_writes(tmp_path: Path) -> None:
-    """Behind what is there, whoever wrote that; the bytes come out in order."""
+    """Bytes of this and of another process are read in order."""
     script = (
         "import sys, numpy as np; from pugeo_service.storage.shared_file import SharedFile;"
         "file = SharedFile(sys.argv[1], bytes.fromhex(sys.argv[2]));"
@@ -49,7 +49,7 @@ def test_another_process_writes(tmp_path: Path) -> None:
 
 
 def test_no_other_file_is_touched(tmp_path: Path) -> None:
-    """The number of a file that was closed is soon that of the next one."""
+    """Another file that has the descriptor of a closed one is not changed."""
     first, shared = shared_file(tmp_path)
     with first:
         number = first.fileno()
@@ -63,21 +63,22 @@ def test_no_other_file_is_touched(tmp_path: Path) -> None:
     assert not shared.put(DATA, 0)
 
 
-def test_whoever_gives_up_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A request that is cancelled while its file is made closes that one."""
-    share, cancelled, spools = Spool._share, threading.Event(), []
+def test_a_cancelled_share_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request that is cancelled while its file is made closes the file."""
+    share, begun, go_on, spools = Spool._share, threading.Event(), threading.Event(), []
 
     def slow(spool: Spool) -> SharedFile:
-        cancelled.wait(10)
+        begun.set()
+        go_on.wait()
         return share(spool)
 
     async def given_up() -> None:
         with Spool(tmp_path) as spool:
             spools.append(spool)
             task = asyncio.create_task(spool.share())
-            await asyncio.sleep(0.05)
+            await asyncio.to_thread(begun.wait)
             task.cancel()
-            asyncio.get_running_loop().call_later(0.1, cancelled.set)
+            asyncio.get_running_loop().call_soon(go_on.set)
             with pytest.raises(asyncio.CancelledError):
                 await task
 
@@ -88,7 +89,7 @@ def test_whoever_gives_up_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_bytes_beyond_the_end_are_not_read(tmp_path: Path) -> None:
-    """A worker that put more than the one after it, and died, leaves them there."""
+    """Bytes beyond the counted ones, written by a lost worker, are not read."""
 
     async def through() -> tuple[bytes, bytes]:
         with Spool(tmp_path) as spool:
@@ -102,19 +103,19 @@ def test_bytes_beyond_the_end_are_not_read(tmp_path: Path) -> None:
 
 
 class Full(io.BytesIO):
-    """A file that takes bytes into its buffer, and finds no room for them."""
+    """A file on a full disk."""
 
     def flush(self) -> None:
-        """Fail, as every attempt will."""
+        """Fail."""
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def close(self) -> None:
-        """Fail in another way."""
+        """Fail with another error."""
         raise OSError(errno.EIO, "Input/output error")
 
 
 def test_a_full_disk_shows_at_once(tmp_path: Path) -> None:
-    """Also for bytes so few that they fit the buffer of a file; and closing hides nothing."""
+    """A full disk is reported for few bytes too, and the error of closing does not hide it."""
 
     async def filled() -> None:
         with Spool(tmp_path) as spool:
@@ -129,7 +130,7 @@ def test_a_full_disk_shows_at_once(tmp_path: Path) -> None:
 
 
 def test_what_is_no_such_file(tmp_path: Path) -> None:
-    """A folder, a pipe that nobody reads, nothing at all, and one that may only be read."""
+    """Writing fails for a folder, a pipe without a reader, a missing and a read-only file."""
     shared = SharedFile(str(tmp_path), bytes(16))
     os.mkfifo(tmp_path / "pipe")
     read_only = tmp_path / "read-only"
@@ -138,12 +139,12 @@ def test_what_is_no_such_file(tmp_path: Path) -> None:
         read_only.chmod(0o400)
         for path in (tmp_path, tmp_path / "pipe", tmp_path / "nothing"):
             assert not replace(shared, path=str(path)).put(DATA, 0)
-        if os.geteuid():  # nobody keeps root from writing
+        if os.geteuid():  # root may write read-only files
             assert not replace(shared, path=f"/proc/{os.getpid()}/fd/{file.fileno()}").put(DATA, 0)
 
 
 def test_a_disk_that_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is no error here: the front will find out for itself."""
+    """`put` returns False on a full disk; the front then reports the error."""
 
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -155,7 +156,7 @@ def test_a_disk_that_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_small_answer_needs_no_disk(tmp_path: Path) -> None:
-    """A folder that takes no file makes one of a MiB no worse; larger ones are refused."""
+    """Without a usable folder an answer of up to 1 MiB is kept in memory."""
 
     async def kept(size: int) -> bytes:
         with Spool(tmp_path / "missing") as spool:
@@ -173,7 +174,7 @@ def test_a_small_answer_needs_no_disk(tmp_path: Path) -> None:
 def test_a_disk_that_takes_a_little_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a write leaves over is written next."""
+    """A partial write is continued."""
     write = os.pwrite
     file, shared = shared_file(tmp_path)
     with file:

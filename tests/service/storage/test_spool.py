@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes come out of a spool as they went in, and nothing stays behind."""
+"""Spools: bytes are read as they were written, and no file is left."""
 
 import asyncio
 from pathlib import Path
@@ -11,7 +11,7 @@ from pugeo_service.storage.spool import Spool
 
 @pytest.mark.parametrize("size", [0, 10, 70_000, 1 << 20, (5 << 20) + 3])
 def test_the_bytes_survive(tmp_path: Path, size: int) -> None:
-    """In memory and on disk, whole and in chunks."""
+    """Bytes are equal in memory and on disk, whole and in chunks."""
     data = bytes(range(256)) * (size // 256 + 1)
     data = data[:size]
 
@@ -28,7 +28,7 @@ def test_the_bytes_survive(tmp_path: Path, size: int) -> None:
 
 
 def test_large_ones_leave_the_memory(tmp_path: Path) -> None:
-    """More than a mebibyte is in a file of the spool folder."""
+    """More than 1 MiB is stored in a file of the spool folder."""
 
     async def rolled() -> bool:
         with Spool(tmp_path) as spool:
