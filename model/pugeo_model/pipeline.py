@@ -22,7 +22,7 @@ merge then spreads points that are where they seem to be.
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ from pugeo_model.finish.seams import Rim, part
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.geometry.overlapping import PointPatch, overlapping_patches, patches_of
 from pugeo_model.geometry.patches import Patch, cut
 from pugeo_model.geometry.shares import shares
 from pugeo_model.merge.atlas import (
@@ -52,6 +53,7 @@ from pugeo_model.merge.elimination import reach_of_share
 from pugeo_model.merge.placement import even_out, nearest_charts, place
 from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
+from pugeo_model.resample.overlap import PatchPoints, merge_overlapping
 from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
@@ -69,6 +71,7 @@ __all__ = [
     "finish",
     "land",
     "merge",
+    "merge_patches",
     "noisy",
     "own_spots",
     "predict",
@@ -88,13 +91,20 @@ _TREE = 12  # neighbours in the graph that hands signs of normals on: more cost 
 _NONE = np.empty((0, 0), dtype=np.int32)
 
 
-def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
+def survey(
+    cloud: Cloud,
+    options: Options,
+    tile_size: int | None = None,
+    patch_ratio: int | None = None,
+) -> Plan:
     """Clean, normalise, cut into tiles.
 
     Args:
         cloud: the input.
         options: what is asked for.
         tile_size: input points of a tile at most; chosen by the size of its answer if ``None``.
+        patch_ratio: R of a network that upsamples whole patches: no cloud gets more times its
+            points. ``None`` where charts are predicted.
 
     Raises:
         UntreatableCloud: the points left after cleaning span no surface.
@@ -105,12 +115,13 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
     points, placement = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
-    if not count <= n_out <= MOST * count:
+    most = int(MOST) if patch_ratio is None else patch_ratio
+    if not count <= n_out <= most * count:
         refuse(
             "n_points",
             n_out,
-            f"from {count} to {int(MOST) * count} (1 to 32 times the points left after cleaning)",
-            limit=[count, int(MOST) * count],
+            f"from {count} to {most * count} (1 to {most} times the points left after cleaning)",
+            limit=[count, most * count],
         )
     cuts, noise, typical = cut_tiles(points, n_out, tile_size)
     if noise is not None and noise > _NOISY and not options.keeps_points(count):
@@ -123,7 +134,9 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
         "points_used": count,
         "points_out": n_out,
         "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
-        "patches": sum(cut.patches for cut in cuts),
+        "patches": sum(
+            cut.patches if patch_ratio is None else patches_of(cut.charted) for cut in cuts
+        ),
         "tiles": len(cuts),
         "ratio": n_out / count,
         "orient": method,
@@ -141,6 +154,7 @@ def survey(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan
         orient=method,
         n_out=n_out,
         report=report,
+        patch_ratio=patch_ratio,
     )
 
 
@@ -153,10 +167,14 @@ def prepare(tile: Tile) -> Job:
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
     ends = np.cumsum([0] + [len(part) for part in parts])
-    patches = [
-        cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
-        for start, stop in itertools.pairwise(ends)
-    ]
+    patches: Sequence[Patch] | Sequence[PointPatch]
+    if tile.patch_ratio is None:
+        patches = [
+            cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
+            for start, stop in itertools.pairwise(ends)
+        ]
+    else:
+        patches = overlapping_patches(points[: tile.charted])
     return Job(
         tile,
         tile.cloud.take(order),
@@ -172,11 +190,16 @@ def prepare(tile: Tile) -> Job:
 
 
 def noisy(job: Job) -> bool:
-    """Whether the input's points may be off the surface, are free to move, and have not yet."""
+    """Whether the input's points may be off the surface, are free to move, and have not yet.
+
+    Never for networks that upsample whole patches: there is no chart to move points onto.
+    """
+    if job.tile.patch_ratio is not None:
+        return False
     return job.noise > _NOISY and not job.tile.keeps_input and not job.denoised
 
 
-def predict(model: "Model", patch: Patch, candidates: int) -> PatchCharts:
+def predict(model: Any, patch: Any, candidates: int) -> Any:
     """The network: charts of a patch and what they propose. Runs on workers."""
     return model.charts(patch, candidates)
 
@@ -282,6 +305,14 @@ def _landing(
 ) -> Landing:
     near = nearest_charts(spots, owner, job.points, job.neighbours, blended, job.tile.charted)
     return Landing(atlas, spots, near, fixed)
+
+
+def merge_patches(job: Job, patches: Sequence[PatchPoints]) -> Landed:
+    """The output points of networks that upsample whole patches, by farthest-point sampling."""
+    tile = job.tile
+    return merge_overlapping(
+        job.points, job.core, patches, tile.n_out, keeps_input=tile.keeps_input
+    )
 
 
 def finish(job: Job, landed: Landed) -> Piece:

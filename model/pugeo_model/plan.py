@@ -2,7 +2,7 @@
 """What a cloud is between the stages of its way: a plan, jobs, pieces, the result."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.finish.joining import Sides
 from pugeo_model.finish.seams import Rim
 from pugeo_model.geometry.frames import Frames
+from pugeo_model.geometry.overlapping import PointPatch
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.normalise import Placement
 from pugeo_model.options import Options
@@ -39,6 +40,8 @@ class Plan:
         orient: the method that gives normals their signs, never ``auto``.
         n_out: points of the answer.
         report: what happened, JSON-able.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` where charts are
+            predicted.
     """
 
     cloud: Cloud
@@ -52,6 +55,7 @@ class Plan:
     orient: str
     n_out: int
     report: dict[str, Any]
+    patch_ratio: int | None = None
 
     @property
     def keeps_input(self) -> bool:
@@ -93,6 +97,7 @@ class Plan:
             viewpoint=self.options.viewpoint,
             centroid=self.centroid,
             seed=self.options.seed,
+            patch_ratio=self.patch_ratio,
         )
 
 
@@ -122,7 +127,7 @@ class Job:
     neighbours: NDArray[np.int32]
     frames: Frames
     share: NDArray[np.float64]
-    patches: list[Patch]
+    patches: Sequence[Patch] | Sequence[PointPatch]
     noise: float
     denoised: bool = False
 

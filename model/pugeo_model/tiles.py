@@ -82,6 +82,8 @@ class Tile:
         viewpoint: in the cloud's own frame and units.
         centroid: ``(3,)`` of the whole cloud, unit scale.
         seed: decides between points that are as good as each other.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` where charts are
+            predicted.
     """
 
     cloud: Cloud
@@ -99,6 +101,7 @@ class Tile:
     viewpoint: tuple[float, float, float] | None
     centroid: NDArray[np.float64]
     seed: int
+    patch_ratio: int | None = None
 
 
 def cut_tiles(

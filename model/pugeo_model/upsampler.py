@@ -22,6 +22,7 @@ from pugeo_model.pipeline import (
     finish,
     land,
     merge,
+    merge_patches,
     noisy,
     own_spots,
     predict,
@@ -70,7 +71,8 @@ class Upsampler:
         if not isinstance(cloud, Cloud):
             cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        return self.upsample(survey(cloud, options), progress)
+        plan = survey(cloud, options, patch_ratio=self.model.patch_ratio)
+        return self.upsample(plan, progress)
 
     def upsample(
         self, plan: Plan, progress: Callable[[str, int, int], None] | None = None
@@ -111,6 +113,9 @@ class Upsampler:
         tell("prepare")
         job = prepare(tile)
         charts = charted(job)
+        if tile.patch_ratio is not None:
+            tell("merge")
+            return finish(job, merge_patches(job, charts))
         if noisy(job):
             tell("denoise")
             again = denoise(job, land(self.model, own_spots(job, charts)))

@@ -62,10 +62,17 @@ def load(name_or_path: str | Path = "standard") -> "Model":
     from safetensors.torch import load_file
 
     from pugeo_model.network.model import Model
+    from pugeo_model.network.patch_model import PatchModel
+    from pugeo_model.network.patch_networks import PATCH_NETWORKS, build_patch_network
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
     card = read_card(name_or_path)
-    net = PUGeoNet(Architecture.from_json(card["architecture"]))
+    architecture = Architecture.from_json(card["architecture"])
+    if architecture.backbone in PATCH_NETWORKS:
+        net = build_patch_network(architecture)
+        net.load_state_dict(load_file(locate(name_or_path)))
+        return PatchModel(net, card)
+    net = PUGeoNet(architecture)
     net.load_state_dict(load_file(locate(name_or_path)))
     return Model(net, card)
 

@@ -40,6 +40,7 @@ class Model:
         self.net = net.eval()
         serve(self.net)
         self.card = card
+        self.patch_ratio: int | None = None
         self._lander = Lander(self.net.surface)
 
     @torch.inference_mode()

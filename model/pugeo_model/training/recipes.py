@@ -11,12 +11,19 @@ from pugeo_model.errors import BadOption
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.losses import Weights
+from pugeo_model.training.patches.settings import Augmentation, PatchSettings, PatchWeights
 from pugeo_model.training.trainer import Recipe
 
 __all__ = ["available_recipes", "read_recipe"]
 
 _FOLDER = Path(__file__).parent / "recipes"
-_TABLES: dict[str, Any] = {"architecture": Architecture, "mix": Mix, "weights": Weights}
+_TABLES: dict[str, Any] = {
+    "architecture": Architecture,
+    "mix": Mix,
+    "weights": Weights,
+    "patches": PatchSettings,
+}
+_PATCH_TABLES: dict[str, Any] = {"augmentation": Augmentation, "weights": PatchWeights}
 
 
 def available_recipes() -> list[str]:
@@ -46,18 +53,21 @@ def read_recipe(name_or_path: str) -> Recipe:
         raise BadOption(f"{path} is not TOML: {error}", value=name_or_path) from error
     values: dict[str, Any] = {}
     for key, value in raw.items():
-        values[key] = _table(path, key, value) if key in _TABLES else value
+        values[key] = _table(path, key, value, _TABLES[key]) if key in _TABLES else value
     recipe: Recipe = _make(path, Recipe, values)
     return recipe
 
 
-def _table(path: Path, name: str, raw: Any) -> Any:
+def _table(path: Path, name: str, raw: Any, kind: Any) -> Any:
     if not isinstance(raw, Mapping):
         raise BadOption(f"{path}: {name} must be a table", value=name)
     values = dict(raw)
     if "options" in values:
         values["options"] = tuple(values["options"].items())
-    return _make(path, _TABLES[name], values)
+    if kind is PatchSettings:
+        for key in values.keys() & _PATCH_TABLES.keys():
+            values[key] = _table(path, f"{name}.{key}", values[key], _PATCH_TABLES[key])
+    return _make(path, kind, values)
 
 
 def _make(path: Path, kind: Any, values: dict[str, Any]) -> Any:

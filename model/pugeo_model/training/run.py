@@ -3,8 +3,10 @@
 
 import csv
 import platform
+import signal
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import torch
 
 from pugeo_model import __version__
 from pugeo_model.training.corpus import Shape, content_hash, default_cache, load_shape, mesh_files
+from pugeo_model.training.patches.trainer import PatchTrainer
 from pugeo_model.training.trainer import Recipe, Trainer
 from pugeo_model.weights import save
 
@@ -54,7 +57,8 @@ def run(
         every: steps between checkpoints.
         tick: called with the step and a few words after every step.
     """
-    trainer = Trainer(shapes, recipe, folder, validation)
+    kind = Trainer if recipe.patches is None else PatchTrainer
+    trainer = kind(shapes, recipe, folder, validation)
     words = {"": ""}
 
     def write() -> None:
@@ -70,9 +74,24 @@ def run(
         words[""] = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
         write()
 
-    trainer.run(every, report, lambda step: tick(step, words[""]))
+    with _stopped_by_sigterm(trainer):
+        trainer.run(every, report, lambda step: tick(step, words[""]))
     # Also where nothing was left to train, as after a change of the name.
     write()
+
+
+@contextmanager
+def _stopped_by_sigterm(trainer: Trainer) -> Iterator[None]:
+    """Let SIGTERM save and end the run after the step in progress."""
+
+    def stop(_signal: int, _frame: Any) -> None:
+        trainer.stopping = True
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> dict[str, Any]:
@@ -82,7 +101,7 @@ def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> d
     return {
         "name": name,
         "version": __version__,
-        "ratio_range": [1, 32],
+        "ratio_range": [1, 32 if recipe.patches is None else trainer.net.ratio],
         "parameters": sum(value.numel() for value in trainer.net.parameters()),
         "training": {
             "command": (
@@ -125,10 +144,12 @@ def plot_curves(log: Path, picture: Path) -> None:
 
     with log.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    names = ("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal")
+    known = ("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal")
+    known += ("chamfer", "coarse_normal")
+    names = [name for name in known if name in rows[0]][:6]
     figure, axes = plt.subplots(2, 3, figsize=(12, 6), layout="constrained")
     steps = [int(row["step"]) for row in rows]
-    for axis, title in zip(axes.flat, names, strict=True):
+    for axis, title in zip(axes.flat, names, strict=False):
         for column, label in ((title, "training"), (f"val_{title}", "validation")):
             if column in rows[0]:
                 axis.plot(steps, [float(row[column]) for row in rows], label=label)

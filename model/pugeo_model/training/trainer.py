@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
 from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.pugeo import Architecture, PUGeoNet
@@ -20,6 +21,7 @@ from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
 from pugeo_model.training.losses import JointLoss, Weights
 from pugeo_model.training.optimizer import Optimizer
+from pugeo_model.training.patches.settings import PatchSettings
 from pugeo_model.weights import start_from
 
 __all__ = ["Recipe", "Trainer", "learning_rate"]
@@ -41,6 +43,9 @@ class Recipe:
         clip: bound on the gradient's norm.
         seed: of weights, batches and draws.
         threads: torch threads.
+        patches: where the network upsamples whole patches, see
+            :class:`~pugeo_model.training.patches.settings.PatchSettings`; ``mix`` and ``weights``
+            then have no say.
         start: weights to start from, a released name or a ``.safetensors`` file of this
             architecture; from chance if ``None``.
     """
@@ -56,6 +61,7 @@ class Recipe:
     clip: float = 1.0
     seed: int = 0
     threads: int = 1
+    patches: PatchSettings | None = None
     start: str | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -63,6 +69,10 @@ class Recipe:
         raw = {**asdict(self), "architecture": self.architecture.to_json()}
         if self.start is None:
             del raw["start"]
+        if self.patches is None:
+            del raw["patches"]
+        else:
+            del raw["mix"], raw["weights"]
         return raw
 
 
@@ -99,10 +109,9 @@ class Trainer:
         torch.manual_seed(recipe.seed)
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []
-        self.net = PUGeoNet(recipe.architecture)
-        self.optimizer = Optimizer(self.net, recipe.rate, recipe.decay)
-        self.loss = JointLoss(shapes, recipe.weights)
+        self._build()
         self.step = 0
+        self.stopping = False
         self.hours = 0.0
         self.best = math.inf
         folder.mkdir(parents=True, exist_ok=True)
@@ -110,6 +119,17 @@ class Trainer:
             self._resume()
         elif recipe.start is not None:
             start_from(self.net, recipe.start)
+
+    def _build(self) -> None:
+        """Make the network, its optimiser and its loss."""
+        self.net: Any = PUGeoNet(self.recipe.architecture)
+        self.optimizer = Optimizer(self.net, self.recipe.rate, self.recipe.decay)
+        self.loss: Any = JointLoss(self.shapes, self.recipe.weights)
+
+    def _batches(self) -> Dataset[Any]:
+        """Return the training batches by step."""
+        recipe = self.recipe
+        return Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
 
     @property
     def _checkpoint(self) -> Path:
@@ -121,7 +141,7 @@ class Trainer:
         report: Callable[[int, dict[str, float]], None] | None = None,
         tick: Callable[[int], None] | None = None,
     ) -> None:
-        """Train to the end of the recipe.
+        """Train to the end of the recipe, or until ``stopping`` is set: then save and return.
 
         Args:
             every: steps between checkpoints, log lines and validations.
@@ -129,9 +149,8 @@ class Trainer:
             tick: called after every step.
         """
         recipe = self.recipe
-        batches = Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
         loader = DataLoader(
-            batches,
+            self._batches(),
             batch_size=None,
             sampler=range(self.step, recipe.steps),
             num_workers=1,
@@ -141,14 +160,14 @@ class Trainer:
         sums: dict[str, float] = {}
         begun = time.monotonic()
         since = self.step
-        for count, samples in loader:
-            parts = self._train(count, samples)
+        for batch in loader:
+            parts = self._train(batch)
             for name, value in parts.items():
                 sums[name] = sums.get(name, 0.0) + value
             self.step += 1
             if tick:
                 tick(self.step)
-            if self.step % every == 0 or self.step == recipe.steps:
+            if self.step % every == 0 or self.step == recipe.steps or self.stopping:
                 self.hours += (time.monotonic() - begun) / 3600
                 line = {name: value / (self.step - since) for name, value in sums.items()}
                 line |= self.validate()
@@ -158,6 +177,8 @@ class Trainer:
                 if report:
                     report(self.step, line)
                 sums, since, begun = {}, self.step, time.monotonic()
+            if self.stopping:
+                break
 
     def validate(self, steps: int = 12) -> dict[str, float]:
         """Parts of the loss on fixed patches of the validation shapes, clean and even input."""
@@ -177,9 +198,15 @@ class Trainer:
         self.net.train()
         return sums
 
-    def _train(self, count: int, samples: list[Any]) -> dict[str, float]:
+    def _losses(self, batch: Any) -> tuple[Tensor, dict[str, float]]:
+        """Return the loss of a batch and its parts."""
+        count, samples = batch
         rng = np.random.default_rng([self.recipe.seed, self.step, 1])
         total, parts = self.loss(self.net, count, samples, rng)
+        return total, parts
+
+    def _train(self, batch: Any) -> dict[str, float]:
+        total, parts = self._losses(batch)
         self.optimizer.zero_grad()
         total.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.recipe.clip)

@@ -77,7 +77,7 @@ def prepare(body: NDArray[np.uint8], order: Order) -> Prepared:
     cloud = formats.read(io.BytesIO(body.data), format=order.format, limits=limits)
     _check_output(cloud, options, order.max_output_points)
     read = time.perf_counter()
-    plan = pipeline.survey(cloud, options)
+    plan = pipeline.survey(cloud, options, patch_ratio=load_model(order.model).patch_ratio)
     job = pipeline.prepare(plan.tile(0)) if len(plan.cuts) == 1 else None
     seconds = {"read": read - start, "prepare": time.perf_counter() - read}
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, order.answer)
@@ -183,6 +183,10 @@ def finish_tile(prepared: Prepared, batches: Sequence[Charted], model: str) -> F
         model: name of the weights.
     """
     job, charts, clock = prepared.job, _charts(batches), _Clock()
+    if job.tile.patch_ratio is not None:
+        points = clock("merge", pipeline.merge_patches, job, charts)
+        piece = clock("finish", pipeline.finish, job, points)
+        return Finished(piece, clock.seconds, _sizes(batches))
     network = load_model(model)
     spots = clock("merge", pipeline.propose, job, charts)
     candidates = clock("land", pipeline.land, network, spots)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The output of networks that upsample a patch of points at once."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+__all__ = ["LocalGeometry", "PatchOutput"]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalGeometry:
+    """The learned local parameterization of PUGeo-Net, for its verification.
+
+    Attributes:
+        uv: ``(B, N, R, 2)`` adaptive samples in the parametric domain.
+        T: ``(B, N, 3, 3)`` augmented Jacobian, columns ``t1, t2, t3``.
+        displacement: ``(B, N, R)`` along ``t3``.
+    """
+
+    uv: Tensor
+    T: Tensor
+    displacement: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class PatchOutput:
+    """Points of a batch of patches, in the frame and scale of the input; all float32.
+
+    Attributes:
+        points: ``(B, N, R, 3)``, the samples of every input point.
+        normals: ``(B, N, R, 3)`` unit, unoriented; ``None`` from networks without normals.
+        coarse_normals: ``(B, N, 3)`` unit normals of the input points; ``None`` as above.
+        geometry: of PUGeo-Net alone.
+    """
+
+    points: Tensor
+    normals: Tensor | None = None
+    coarse_normals: Tensor | None = None
+    geometry: LocalGeometry | None = None
+
+    def turned(self, axes: Tensor) -> "PatchOutput":
+        """Return the output of patches ``p`` from that of ``p @ axes.mT``.
+
+        Args:
+            axes: ``(B, 3, 3)`` rotations.
+        """
+
+        def back(vectors: Tensor | None) -> Tensor | None:
+            if vectors is None:
+                return None
+            return (vectors.flatten(1, -2) @ axes).unflatten(1, vectors.shape[1:-1])
+
+        points, geometry = back(self.points), self.geometry
+        assert points is not None
+        if geometry is not None:
+            T = axes.mT.unsqueeze(1) @ geometry.T
+            geometry = LocalGeometry(geometry.uv, T, geometry.displacement)
+        return PatchOutput(points, back(self.normals), back(self.coarse_normals), geometry)
