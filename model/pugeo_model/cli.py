@@ -146,6 +146,9 @@ def train(
     steps: Annotated[
         int | None, typer.Option(help="Length, instead of the recipe's; raise it to train on.")
     ] = None,
+    ratio: Annotated[
+        int | None, typer.Option(help="R of a patch network, instead of the recipe's.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of weights and batches.")] = None,
     threads: Annotated[int | None, typer.Option(help="Torch threads.")] = None,
     start: Annotated[
@@ -157,11 +160,13 @@ def train(
     """Train on a folder of meshes; resumes exactly where a run in the same folder stopped."""
     from dataclasses import replace
 
-    from pugeo_model.training.recipes import read_recipe
+    from pugeo_model.training.recipes import read_recipe, with_ratio
     from pugeo_model.training.run import load_shapes, run
 
     chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads, "start": start}
     wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})
+    if ratio is not None:
+        wanted = with_ratio(wanted, ratio)
     with _bar("{task.fields[info]}") as bar:
         task = bar.add_task("sample", total=None, info="")
         shapes = load_shapes(

@@ -48,8 +48,13 @@ def farthest_points(
     at = ends[:-1].copy()
     chosen = np.empty(count, dtype=np.int64)
     before = np.empty((0, 3)) if given is None else np.ascontiguousarray(given, dtype=np.float64)
-    first = int(np.linalg.norm(sorted_points - sorted_points.mean(axis=0), axis=1).argmax())
-    _choose(sorted_points, ends, low, high, distance, best, at, before, first, chosen)
+    if not len(before):
+        first = int(np.linalg.norm(sorted_points - sorted_points.mean(axis=0), axis=1).argmax())
+        bucket = int(np.searchsorted(ends, first, side="right")) - 1
+        # The only bucket without a bound lies highest, and is chosen from first.
+        best[:] = np.finfo(np.float64).max
+        best[bucket], at[bucket] = np.inf, first
+    _choose(sorted_points, ends, low, high, distance, best, at, before, chosen)
     return order[chosen]
 
 
@@ -73,25 +78,16 @@ def _visit(points, ends, low, high, distance, best, at, x, y, z):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _choose(points, ends, low, high, distance, best, at, given, first, chosen):  # type: ignore[no-untyped-def]
+def _choose(points, ends, low, high, distance, best, at, given, chosen):  # type: ignore[no-untyped-def]
     for g in range(len(given)):
         _visit(points, ends, low, high, distance, best, at, given[g, 0], given[g, 1], given[g, 2])
     for turn in range(len(chosen)):
-        if turn == 0 and len(given) == 0:
-            row = first
-        else:
-            row = at[np.argmax(best)]
+        bucket = np.argmax(best)
+        row = at[bucket]
         chosen[turn] = row
-        _visit(
-            points, ends, low, high, distance, best, at, points[row, 0], points[row, 1], points[row, 2]
-        )
+        x, y, z = points[row]
+        _visit(points, ends, low, high, distance, best, at, x, y, z)
         # Never again, also where others lie on the same spot.
         distance[row] = -1.0
-        for bucket in range(len(best)):
-            if ends[bucket] <= row < ends[bucket + 1]:
-                most, where = -1.0, ends[bucket]
-                for i in range(ends[bucket], ends[bucket + 1]):
-                    if distance[i] > most:
-                        most, where = distance[i], i
-                best[bucket], at[bucket] = most, where
-                break
+        at[bucket] = ends[bucket] + np.argmax(distance[ends[bucket] : ends[bucket + 1]])
+        best[bucket] = distance[at[bucket]]

@@ -3,7 +3,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from pugeo_model.training.losses import Weights
 from pugeo_model.training.patches.settings import Augmentation, PatchSettings, PatchWeights
 from pugeo_model.training.trainer import Recipe
 
-__all__ = ["available_recipes", "read_recipe"]
+__all__ = ["available_recipes", "read_recipe", "with_ratio"]
 
+_DEPTH = 3
 _FOLDER = Path(__file__).parent / "recipes"
 _TABLES: dict[str, Any] = {
     "architecture": Architecture,
@@ -34,9 +35,35 @@ def available_recipes() -> list[str]:
 def read_recipe(name_or_path: str) -> Recipe:
     """A recipe by its name, or from a file; what a file leaves out is as in ``Recipe``.
 
+    A file may name a ``base``, another recipe, and then holds only the differences from it.
+
     Raises:
         BadOption: no such recipe, or it holds what no recipe has.
     """
+    path, raw = _read(name_or_path, _DEPTH)
+    values: dict[str, Any] = {}
+    for key, value in raw.items():
+        values[key] = _table(path, key, value, _TABLES[key]) if key in _TABLES else value
+    recipe: Recipe = _make(path, Recipe, values)
+    return recipe
+
+
+def with_ratio(recipe: Recipe, ratio: int) -> Recipe:
+    """The recipe of a patch network for another R.
+
+    Raises:
+        BadOption: the recipe's network is not made for one R.
+    """
+    options = dict(recipe.architecture.options)
+    if "ratio" not in options:
+        raise BadOption("only recipes of patch networks have a ratio", value=ratio)
+    options["ratio"] = ratio
+    architecture = replace(recipe.architecture, options=tuple(options.items()))
+    return replace(recipe, architecture=architecture)
+
+
+def _read(name_or_path: str, depth: int) -> tuple[Path, dict[str, Any]]:
+    """Path and tables of a recipe, those of its base filled in."""
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = _FOLDER / f"{name_or_path}.toml"
@@ -51,11 +78,30 @@ def read_recipe(name_or_path: str) -> Recipe:
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadOption(f"{path} is not TOML: {error}", value=name_or_path) from error
-    values: dict[str, Any] = {}
-    for key, value in raw.items():
-        values[key] = _table(path, key, value, _TABLES[key]) if key in _TABLES else value
-    recipe: Recipe = _make(path, Recipe, values)
-    return recipe
+    base = raw.pop("base", None)
+    if base is None:
+        return path, raw
+    if not isinstance(base, str) or depth == 0:
+        raise BadOption(
+            f"{path}: base must name a recipe, at most {_DEPTH} after one another", value=base
+        )
+    return path, _merged(_read(base, depth - 1)[1], raw)
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of a base with what a recipe changes in them.
+
+    A table that names a backbone replaces that of the base: options of another network mean
+    nothing to it.
+    """
+    merged = dict(base)
+    for key, value in changes.items():
+        inner = merged.get(key)
+        if isinstance(value, Mapping) and isinstance(inner, Mapping) and "backbone" not in value:
+            merged[key] = _merged(inner, value)
+        else:
+            merged[key] = value
+    return merged
 
 
 def _table(path: Path, name: str, raw: Any, kind: Any) -> Any:

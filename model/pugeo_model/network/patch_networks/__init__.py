@@ -8,12 +8,18 @@ the attributes ``ratio`` and ``architecture``.
 from collections.abc import Callable
 from typing import Any
 
+from pugeo_model.network.patch_networks.mpu import MPU
+from pugeo_model.network.patch_networks.pu_net import PUNet
 from pugeo_model.network.patch_networks.pugeo_net import PUGeoNetPaper
 from pugeo_model.network.pugeo import Architecture
 
 __all__ = ["PATCH_NETWORKS", "build_patch_network"]
 
-PATCH_NETWORKS: dict[str, Callable[..., Any]] = {"pugeo-net": PUGeoNetPaper}
+PATCH_NETWORKS: dict[str, Callable[..., Any]] = {
+    "pugeo-net": PUGeoNetPaper,
+    "pu-net": PUNet,
+    "mpu": MPU,
+}
 
 
 def build_patch_network(architecture: Architecture) -> Any:

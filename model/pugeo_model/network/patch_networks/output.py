@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The output of networks that upsample a patch of points at once."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -39,6 +40,14 @@ class PatchOutput:
     coarse_normals: Tensor | None = None
     geometry: LocalGeometry | None = None
 
+    def unflatten(self, batch: int, count: int) -> "PatchOutput":
+        """The output of ``batch * count`` points as that of ``batch`` patches."""
+
+        def shaped(values: Tensor) -> Tensor:
+            return values.unflatten(0, (batch, count))
+
+        return self._mapped(shaped, shaped, shaped)
+
     def turned(self, axes: Tensor) -> "PatchOutput":
         """Return the output of patches ``p`` from that of ``p @ axes.mT``.
 
@@ -46,14 +55,26 @@ class PatchOutput:
             axes: ``(B, 3, 3)`` rotations.
         """
 
-        def back(vectors: Tensor | None) -> Tensor | None:
-            if vectors is None:
-                return None
+        def back(vectors: Tensor) -> Tensor:
             return (vectors.flatten(1, -2) @ axes).unflatten(1, vectors.shape[1:-1])
 
-        points, geometry = back(self.points), self.geometry
-        assert points is not None
+        return self._mapped(back, lambda T: axes.mT.unsqueeze(1) @ T, lambda scalars: scalars)
+
+    def _mapped(
+        self,
+        vectors: Callable[[Tensor], Tensor],
+        matrices: Callable[[Tensor], Tensor],
+        scalars: Callable[[Tensor], Tensor],
+    ) -> "PatchOutput":
+        """Apply a function to each kind of tensor."""
+        geometry = self.geometry
         if geometry is not None:
-            T = axes.mT.unsqueeze(1) @ geometry.T
-            geometry = LocalGeometry(geometry.uv, T, geometry.displacement)
-        return PatchOutput(points, back(self.normals), back(self.coarse_normals), geometry)
+            geometry = LocalGeometry(
+                scalars(geometry.uv), matrices(geometry.T), scalars(geometry.displacement)
+            )
+        return PatchOutput(
+            vectors(self.points),
+            None if self.normals is None else vectors(self.normals),
+            None if self.coarse_normals is None else vectors(self.coarse_normals),
+            geometry,
+        )

@@ -8,7 +8,7 @@ from torch.nn import functional
 from pugeo_model.network.backbones.dgcnn import DGCNN
 from pugeo_model.network.backbones.edge_conv import PointMLP
 from pugeo_model.network.patch_networks.output import LocalGeometry, PatchOutput
-from pugeo_model.network.pattern import disk
+from pugeo_model.network.pattern import disk, regular_grid
 
 __all__ = ["PUGeoNetPaper", "SampleMLP", "principal_axes"]
 
@@ -70,7 +70,11 @@ class PUGeoNetPaper(nn.Module):
     - f3: ``delta = f3(x_hat, c_i)`` and ``x_i^r = x_hat + T_i (0, 0, delta)`` (eq. 8, 9)
     - f4: ``n_i^r = n_i + f4(x_hat, c_i)`` (eq. 10, 11)
 
-    Normals are divided by their length, the coarse one before the offset is added.
+    Normals are divided by their length, the coarse one before the offset is added. Outputs of f1
+    and f3 are in units of the mean spacing of a patch's points.
+
+    The last four arguments are the ablations of Table 3; a fifth, feature recalibration, is
+    ``recalibrate`` of :class:`DGCNN`.
 
     Args:
         ratio: R; the network is for this ratio alone.
@@ -80,11 +84,13 @@ class PUGeoNetPaper(nn.Module):
             paper leaves rotations to the input transform and augmentation alone.
         quiet: start the heads near ``T = I``, an even disk of (u, v) and no offsets, in the place
             of random values. The paper does not say how it starts.
-        learned_uv: f1 is learned; a fixed regular grid otherwise (Table 3).
-        linear_map: f2 is learned; otherwise MLPs give coordinates and normals directly (Table 3).
-        coarse_to_fine: f3 and f4 refine; otherwise f1 and f2 regress the final points through
-            offsets without the intermediate loss (Table 3).
-        normals: predict normals (Table 3).
+        norm: batch norm in all hidden layers.
+        normals: predict normals; coordinates alone otherwise.
+        adaptive_uv: learn f1; a fixed regular grid of (u, v) otherwise.
+        linear_map: lift (u, v) by ``T``; otherwise MLPs on ``(u, v)`` and ``c_i`` give coordinates
+            and normals directly, and there is no coarse normal.
+        coarse_to_fine: refine tangent points and coarse normals by f3 and f4; otherwise ``delta``
+            and the normals are linear in ``c_i`` too, and there is no coarse normal.
         **backbone: arguments of :class:`DGCNN`.
     """
 
@@ -97,26 +103,54 @@ class PUGeoNetPaper(nn.Module):
         align: bool = True,
         quiet: bool = True,
         norm: bool = True,
+        normals: bool = True,
+        adaptive_uv: bool = True,
+        linear_map: bool = True,
+        coarse_to_fine: bool = True,
         **backbone: int,
     ) -> None:
         super().__init__()
+        if not linear_map and not coarse_to_fine:
+            raise ValueError("linear_map and coarse_to_fine cannot both be left out")
         self.ratio, self.align = ratio, align
         self.backbone = DGCNN(features, norm=norm, **backbone)  # type: ignore[arg-type]
-        self.uv = nn.Linear(features, 2 * ratio)
-        self.T = nn.Linear(features, 9)
-        self.displacement = SampleMLP(features, head, 1, norm=norm)
-        self.normal_offset = SampleMLP(features, head, 3, norm=norm)
+        self.uv = nn.Linear(features, 2 * ratio) if adaptive_uv else None
+        self.register_buffer("grid", torch.from_numpy(regular_grid(ratio)), persistent=False)
+        self.T = nn.Linear(features, 9) if linear_map else None
+        outputs = 1 if linear_map else 3
+        self.displacement: nn.Module = (
+            SampleMLP(features, head, outputs, norm=norm)
+            if coarse_to_fine
+            else nn.Linear(features, ratio)
+        )
+        self.normal_offset: nn.Module | None = None
+        if normals:
+            self.normal_offset = (
+                SampleMLP(features, head, 3, norm=norm)
+                if coarse_to_fine
+                else nn.Linear(features, 3 * ratio)
+            )
         if quiet:
             self._quiet()
 
     def _quiet(self) -> None:
         """Start from the identity, an even disk and no offsets."""
+        heads = [self.uv, self.T, self.displacement, self.normal_offset]
         with torch.no_grad():
-            for layer in (self.uv, self.T, self.displacement.out, self.normal_offset.out):
-                layer.weight.mul_(0.01)
-                layer.bias.zero_()
-            self.T.bias.copy_(torch.eye(3).flatten())
-            self.uv.bias.copy_(torch.from_numpy(disk(self.ratio)).flatten())
+            for head in heads:
+                layer = head.out if isinstance(head, SampleMLP) else head
+                if layer is not None:
+                    layer.weight.mul_(0.01)
+                    layer.bias.zero_()
+            if self.T is not None:
+                self.T.bias.copy_(torch.eye(3).flatten())
+            if self.uv is not None:
+                self.uv.bias.copy_(torch.from_numpy(disk(self.ratio)).flatten())
+            direct_normals = self.T is None or isinstance(self.normal_offset, nn.Linear)
+            if self.normal_offset is not None and direct_normals:
+                layer = self.normal_offset
+                layer = layer.out if isinstance(layer, SampleMLP) else layer
+                layer.bias.view(-1, 3)[:, 2] = 1.0
 
     def forward(self, points: Tensor) -> PatchOutput:
         """``(B, N, 3)`` float32, each patch centred and of radius 1."""
@@ -128,23 +162,46 @@ class PUGeoNetPaper(nn.Module):
     def _upsample(self, points: Tensor) -> PatchOutput:
         batch, count, _ = points.shape
         features = self.backbone(points).flatten(0, 1)
-        flat = points.reshape(-1, 1, 3)
         spacing = (_AREA / count) ** 0.5
-        uv = spacing * self.uv(features).unflatten(-1, (self.ratio, 2))
+        if self.uv is None:
+            uv = self.grid.expand(len(features), -1, -1)
+        else:
+            uv = self.uv(features).unflatten(-1, (self.ratio, 2))
+        make = self._directly if self.T is None else self._on_charts
+        output = make(points.reshape(-1, 1, 3), features, uv, spacing)
+        return output.unflatten(batch, count)
+
+    def _directly(
+        self, points: Tensor, features: Tensor, uv: Tensor, spacing: float
+    ) -> PatchOutput:
+        """Points and normals by MLPs on (u, v) and the features, without ``T``."""
+        place = functional.pad(uv, (0, 1))
+        moved = points + spacing * (place + self.displacement(place, features))
+        if self.normal_offset is None:
+            return PatchOutput(moved)
+        normals = self.normal_offset(place, features)
+        return PatchOutput(moved, functional.normalize(normals, dim=-1))
+
+    def _on_charts(
+        self, points: Tensor, features: Tensor, uv: Tensor, spacing: float
+    ) -> PatchOutput:
+        """Equations 4 to 11 for ``n`` points ``(n, 1, 3)``."""
+        assert self.T is not None
+        uv = spacing * uv
         T = self.T(features).unflatten(-1, (3, 3))
-        tangent_points = flat + uv @ T[..., :2].mT
+        tangent_points = points + uv @ T[..., :2].mT
+        if isinstance(self.displacement, SampleMLP):
+            delta = spacing * self.displacement(tangent_points, features).squeeze(-1)
+        else:
+            delta = spacing * self.displacement(features)
+        moved = tangent_points + delta.unsqueeze(-1) * T[:, None, :, 2]
+        geometry = LocalGeometry(uv, T, delta)
+        if self.normal_offset is None:
+            return PatchOutput(moved, geometry=geometry)
+        if not isinstance(self.normal_offset, SampleMLP):
+            normals = self.normal_offset(features).unflatten(-1, (self.ratio, 3))
+            return PatchOutput(moved, functional.normalize(normals, dim=-1), geometry=geometry)
         coarse = functional.normalize(T[..., 2], dim=-1)
-        delta = spacing * self.displacement(tangent_points, features)
-        moved = tangent_points + delta * T[:, None, :, 2]
         offset = self.normal_offset(tangent_points, features)
         normals = functional.normalize(coarse.unsqueeze(1) + offset, dim=-1)
-
-        def shaped(values: Tensor) -> Tensor:
-            return values.unflatten(0, (batch, count))
-
-        return PatchOutput(
-            shaped(moved),
-            shaped(normals),
-            shaped(coarse),
-            LocalGeometry(shaped(uv), shaped(T), shaped(delta.squeeze(-1))),
-        )
+        return PatchOutput(moved, normals, coarse, geometry)
