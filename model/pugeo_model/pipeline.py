@@ -37,8 +37,8 @@ from pugeo_model.finish.seams import Rim, part
 from pugeo_model.geometry.chunks import PATCH_SIZE, chunks
 from pugeo_model.geometry.frames import fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.overlapping import PointPatch, overlapping_patches, patches_of
-from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.geometry.overlapping import overlapping_patches, patches_of
+from pugeo_model.geometry.patches import cut
 from pugeo_model.geometry.shares import shares
 from pugeo_model.merge.atlas import (
     BLENDED,
@@ -53,8 +53,8 @@ from pugeo_model.merge.elimination import reach_of_share
 from pugeo_model.merge.placement import even_out, nearest_charts, place
 from pugeo_model.normalise import normalise
 from pugeo_model.options import MOST, Options, refuse
-from pugeo_model.resample.overlap import PatchPoints, merge_overlapping
 from pugeo_model.plan import Agreed, Border, Job, Piece, Plan, Result
+from pugeo_model.resample.overlap import PatchPoints, merge_overlapping
 from pugeo_model.tiles import Cut, Tile, cut_tiles
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def prepare(tile: Tile) -> Job:
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
     ends = np.cumsum([0] + [len(part) for part in parts])
-    patches: Sequence[Patch] | Sequence[PointPatch]
+    patches: list[Any]
     if tile.patch_ratio is None:
         patches = [
             cut(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
@@ -200,7 +200,7 @@ def noisy(job: Job) -> bool:
 
 
 def predict(model: Any, patch: Any, candidates: int) -> Any:
-    """The network: charts of a patch and what they propose. Runs on workers."""
+    """The network: charts of a patch and what they propose, or its points. Runs on workers."""
     return model.charts(patch, candidates)
 
 

@@ -2,7 +2,7 @@
 """What a cloud is between the stages of its way: a plan, jobs, pieces, the result."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,6 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.finish.joining import Sides
 from pugeo_model.finish.seams import Rim
 from pugeo_model.geometry.frames import Frames
-from pugeo_model.geometry.overlapping import PointPatch
-from pugeo_model.geometry.patches import Patch
 from pugeo_model.normalise import Placement
 from pugeo_model.options import Options
 from pugeo_model.tiles import Cut, Tile
@@ -114,7 +112,8 @@ class Job:
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one a point.
         share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.shares`.
-        patches: the units of work; their cores partition the points that get charts.
+        patches: the units of work: each a ``Patch``, whose cores partition the points that get
+            charts, or an overlapping ``PointPatch`` of networks that upsample whole patches.
         noise: of the input as it came, see `noise_level`.
         denoised: the points are where those of a noisy input landed.
     """
@@ -127,7 +126,7 @@ class Job:
     neighbours: NDArray[np.int32]
     frames: Frames
     share: NDArray[np.float64]
-    patches: Sequence[Patch] | Sequence[PointPatch]
+    patches: list[Any]
     noise: float
     denoised: bool = False
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
+from pugeo_model.merge.atlas import Landed, Landing
 from pugeo_model.network.memory import give_back_freed_memory
 from pugeo_model.options import Options
 from pugeo_model.pipeline import (
@@ -45,7 +45,7 @@ class Upsampler:
     def __init__(self, weights: str | Path = "standard") -> None:
         from pugeo_model.weights import load
 
-        self.model = load(weights)
+        self.model: Any = load(weights)
 
     def __call__(
         self,
@@ -99,8 +99,8 @@ class Upsampler:
         return result
 
     def _piece(self, tile: Tile, tell: Callable[..., None]) -> Piece:
-        def charted(job: Job) -> list[PatchCharts]:
-            done: list[PatchCharts] = []
+        def charted(job: Job) -> list[Any]:
+            done: list[Any] = []
             for patch in job.patches:
                 tell("network", len(done) / len(job.patches))
                 done.append(predict(self.model, patch, job.candidates))

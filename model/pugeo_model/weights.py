@@ -10,6 +10,7 @@ from pugeo_model.errors import BadOption
 
 if TYPE_CHECKING:
     from pugeo_model.network.model import Model
+    from pugeo_model.network.patch_model import PatchModel
 
 __all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
 
@@ -53,7 +54,7 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     return card
 
 
-def load(name_or_path: str | Path = "standard") -> "Model":
+def load(name_or_path: str | Path = "standard") -> "Model | PatchModel":
     """Rebuild the network of a card and fill in its weights.
 
     Raises:
@@ -61,20 +62,15 @@ def load(name_or_path: str | Path = "standard") -> "Model":
     """
     from safetensors.torch import load_file
 
+    from pugeo_model.network.build import build_network
     from pugeo_model.network.model import Model
     from pugeo_model.network.patch_model import PatchModel
-    from pugeo_model.network.patch_networks import PATCH_NETWORKS, build_patch_network
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
     card = read_card(name_or_path)
-    architecture = Architecture.from_json(card["architecture"])
-    if architecture.backbone in PATCH_NETWORKS:
-        net = build_patch_network(architecture)
-        net.load_state_dict(load_file(locate(name_or_path)))
-        return PatchModel(net, card)
-    net = PUGeoNet(architecture)
+    net = build_network(Architecture.from_json(card["architecture"]))
     net.load_state_dict(load_file(locate(name_or_path)))
-    return Model(net, card)
+    return Model(net, card) if isinstance(net, PUGeoNet) else PatchModel(net, card)
 
 
 def start_from(net: Any, name_or_path: str | Path) -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Overlapping patches by farthest-point seeds (Qian et al. 2020, section 3.1)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +61,7 @@ def patches_of(count: int) -> int:
 
 def overlapping_patches(
     points: NDArray[np.float64], size: int = PATCH_POINTS, overlap: int = OVERLAP
-) -> Sequence[PointPatch]:
+) -> list[PointPatch]:
     """Patches around farthest-point seeds, until every point lies in one at least.
 
     ``ceil(overlap * M / size)`` seeds; a point in none of their patches becomes a seed too.

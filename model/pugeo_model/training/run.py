@@ -144,8 +144,10 @@ def plot_curves(log: Path, picture: Path) -> None:
 
     with log.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    known = ("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal")
-    known += ("chamfer", "coarse_normal")
+    known = (
+        *("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal"),
+        *("chamfer", "coarse_normal", "repulsion"),
+    )
     names = [name for name in known if name in rows[0]][:6]
     figure, axes = plt.subplots(2, 3, figsize=(12, 6), layout="constrained")
     steps = [int(row["step"]) for row in rows]

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from pugeo_model.network.build import build_network
 from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
-from pugeo_model.network.pugeo import Architecture, PUGeoNet
+from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
@@ -122,7 +123,7 @@ class Trainer:
 
     def _build(self) -> None:
         """Make the network, its optimiser and its loss."""
-        self.net: Any = PUGeoNet(self.recipe.architecture)
+        self.net: Any = build_network(self.recipe.architecture)
         self.optimizer = Optimizer(self.net, self.recipe.rate, self.recipe.decay)
         self.loss: Any = JointLoss(self.shapes, self.recipe.weights)
 

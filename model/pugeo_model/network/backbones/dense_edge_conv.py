@@ -77,4 +77,5 @@ class DenseFeatures(nn.Module):
                 level = self.reduce[number - 1](known)
             at = points if number == 0 else level.unflatten(0, (batch, count))
             known = torch.cat([block(level, knn_graph(at, self.k)), known], dim=-1)
-        return known.unflatten(0, (batch, count))
+        features: Tensor = known.unflatten(0, (batch, count))
+        return features

@@ -28,9 +28,7 @@ class InputTransform(nn.Module):
         super().__init__()
         self.k = k
         self.edge = EdgeConv(3, 64, norm=norm)
-        self.points = nn.Sequential(
-            PointMLP(128, 128, norm=norm), PointMLP(128, 1024, norm=norm)
-        )
+        self.points = nn.Sequential(PointMLP(128, 128, norm=norm), PointMLP(128, 1024, norm=norm))
         self.patch = nn.Sequential(PointMLP(1024, 512, norm=norm), PointMLP(512, 256, norm=norm))
         self.out = nn.Linear(256, 9)
         nn.init.zeros_(self.out.weight)
@@ -41,7 +39,7 @@ class InputTransform(nn.Module):
         batch, count, _ = points.shape
         pooled = self.edge(points.flatten(0, 1), knn_graph(points, self.k))
         each = self.points(pooled).unflatten(0, (batch, count))
-        out = self.out(self.patch(each.amax(dim=1))).unflatten(-1, (3, 3))
+        out: Tensor = self.out(self.patch(each.amax(dim=1))).unflatten(-1, (3, 3))
         identity = torch.eye(3, dtype=out.dtype)
         return identity + out
 
@@ -101,7 +99,11 @@ class DGCNN(nn.Module):
         self.logits: nn.ModuleList | None = None
         if recalibrate:
             self.logits = nn.ModuleList(
-                [nn.Linear(total, 128), PointMLP(128, 64, norm=norm), nn.Linear(64, len(self.sizes))]
+                [
+                    nn.Linear(total, 128),
+                    PointMLP(128, 64, norm=norm),
+                    nn.Linear(64, len(self.sizes)),
+                ]
             )
         self.out = nn.Linear(total, features)
         nn.init.kaiming_normal_(self.out.weight, nonlinearity="relu")
@@ -132,7 +134,8 @@ class DGCNN(nn.Module):
         if weights is not None:
             common = common * weights[:, -1:]
         out = functional.linear(each, own, self.out.bias) + common
-        return functional.relu(self.norm(out)).unflatten(0, (batch, count))
+        features: Tensor = functional.relu(self.norm(out)).unflatten(0, (batch, count))
+        return features
 
     def weights(self, each: Tensor, patch: Tensor) -> Tensor | None:
         """Softmax weights of the levels, ``(B * N, levels)``; ``None`` without recalibration.
@@ -146,6 +149,7 @@ class DGCNN(nn.Module):
         if self.logits is None:
             return None
         first, second, last = self.logits
+        assert isinstance(first, nn.Linear)
         own, shared = self._split(first.weight)
         common = functional.linear(patch, shared).repeat_interleave(len(each) // len(patch), dim=0)
         hidden = functional.relu(functional.linear(each, own, first.bias) + common)

@@ -32,7 +32,7 @@ def knn_graph(features: Tensor, k: int) -> Tensor:
 
 
 class PointMLP(nn.Sequential):
-    """One layer of a shared MLP: linear, batch norm where wanted, ReLU; ``(n, in)`` -> ``(n, out)``.
+    """One layer of a shared MLP, ``(n, in)`` -> ``(n, out)``: linear, batch norm if wanted, ReLU.
 
     Args:
         inputs: channels in.
@@ -83,7 +83,7 @@ class EdgeConv(nn.Module):
         centre = functional.linear(features, own - offset, self.first.bias)
         sent = functional.linear(features, offset)
         gathered = sent.index_select(0, graph.flatten()).unflatten(0, tuple(graph.shape))
-        edges = gathered.add_(centre)
+        edges: Tensor = gathered.add_(centre)
         if self.norm is not None:
             edges = self.norm(edges.flatten(0, 1)).unflatten(0, tuple(graph.shape))
         edges = rectify(edges)

@@ -4,6 +4,8 @@
 Yu et al., PU-Net (2018), section 3.2; Qi et al., PointNet++ (2017).
 """
 
+import itertools
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -34,15 +36,11 @@ class SetAbstraction(nn.Module):
         norm: batch norm after every layer.
     """
 
-    def __init__(
-        self, inputs: int, widths: tuple[int, ...], radius: float, *, norm: bool
-    ) -> None:
+    def __init__(self, inputs: int, widths: tuple[int, ...], radius: float, *, norm: bool) -> None:
         super().__init__()
         self.radius = radius
         sizes = (3 + inputs, *widths)
-        self.mlp = nn.Sequential(
-            *(PointMLP(a, b, norm=norm) for a, b in zip(sizes, sizes[1:], strict=False))
-        )
+        self.mlp = nn.Sequential(*(PointMLP(a, b, norm=norm) for a, b in itertools.pairwise(sizes)))
 
     def forward(self, points: Tensor, features: Tensor, centres: Tensor) -> Tensor:
         """Features of the centres.
@@ -62,14 +60,15 @@ class SetAbstraction(nn.Module):
             rows = torch.where(distance <= self.radius, rows, rows[..., :1])
         local = _take(points, rows) - centres.unsqueeze(2)
         grouped = torch.cat([local, _take(features, rows)], dim=-1)
-        flat: Tensor = self.mlp(grouped.flatten(0, 2))
-        return flat.unflatten(0, grouped.shape[:3]).amax(dim=2)
+        each: Tensor = self.mlp(grouped.flatten(0, 2)).unflatten(0, grouped.shape[:3])
+        return each.amax(dim=2)
 
 
 def _take(values: Tensor, rows: Tensor) -> Tensor:
     """``(B, n, C)`` at rows ``(B, m, k)`` -> ``(B, m, k, C)``."""
     flat = rows.flatten(1).unsqueeze(-1).expand(-1, -1, values.shape[-1])
-    return values.gather(1, flat).unflatten(1, rows.shape[1:])
+    taken: Tensor = values.gather(1, flat).unflatten(1, rows.shape[1:])
+    return taken
 
 
 def interpolate(points: Tensor, centres: Tensor, features: Tensor) -> Tensor:

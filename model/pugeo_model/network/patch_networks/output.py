@@ -44,7 +44,8 @@ class PatchOutput:
         """The output of ``batch * count`` points as that of ``batch`` patches."""
 
         def shaped(values: Tensor) -> Tensor:
-            return values.unflatten(0, (batch, count))
+            split: Tensor = values.unflatten(0, (batch, count))
+            return split
 
         return self._mapped(shaped, shaped, shaped)
 
@@ -56,7 +57,9 @@ class PatchOutput:
         """
 
         def back(vectors: Tensor) -> Tensor:
-            return (vectors.flatten(1, -2) @ axes).unflatten(1, vectors.shape[1:-1])
+            turned: Tensor = vectors.flatten(1, -2) @ axes
+            split: Tensor = turned.unflatten(1, vectors.shape[1:-1])
+            return split
 
         return self._mapped(back, lambda T: axes.mT.unsqueeze(1) @ T, lambda scalars: scalars)
 

@@ -15,8 +15,8 @@ __all__ = ["PUNet"]
 class PUNet(nn.Module):
     """Features of a point, expanded by R independent branches, regressed to coordinates.
 
-    ``f_i^r = C2_r(C1_r(f_i))`` with own weights in every branch r (section 3.3 there), then a shared
-    MLP gives coordinates. Its size grows with R.
+    ``f_i^r = C2_r(C1_r(f_i))`` with own weights in every branch r (section 3.3 there), then a
+    shared MLP gives coordinates. Its size grows with R.
 
     Args:
         ratio: R.

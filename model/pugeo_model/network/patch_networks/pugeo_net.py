@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """PUGeo-Net as published (Qian, Hou, Kwong, He, ECCV 2020), for one ratio R."""
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -29,7 +31,8 @@ def principal_axes(points: Tensor) -> Tensor:
         _, vectors = torch.linalg.eigh(centred.mT @ centred)
         axes = vectors.mT.flip(1)
         axes[:, 2] = torch.linalg.cross(axes[:, 0], axes[:, 1])
-        return axes.to(points.dtype)
+        rotations: Tensor = axes.to(points.dtype)
+        return rotations
 
 
 class SampleMLP(nn.Module):
@@ -55,8 +58,9 @@ class SampleMLP(nn.Module):
     def forward(self, samples: Tensor, features: Tensor) -> Tensor:
         """``(n, R, 3)`` and ``(n, features)`` -> ``(n, R, outputs)``."""
         mixed = (self.position(samples) + self.code(features).unsqueeze(1)).flatten(0, 1)
-        out = self.out(self.hidden(functional.relu(self.norm(mixed))))
-        return out.unflatten(0, samples.shape[:2])
+        hidden = self.hidden(functional.relu(self.norm(mixed)))
+        out: Tensor = self.out(hidden).unflatten(0, samples.shape[:2])
+        return out
 
 
 class PUGeoNetPaper(nn.Module):
@@ -118,12 +122,12 @@ class PUGeoNetPaper(nn.Module):
         self.register_buffer("grid", torch.from_numpy(regular_grid(ratio)), persistent=False)
         self.T = nn.Linear(features, 9) if linear_map else None
         outputs = 1 if linear_map else 3
-        self.displacement: nn.Module = (
+        self.displacement: Any = (
             SampleMLP(features, head, outputs, norm=norm)
             if coarse_to_fine
             else nn.Linear(features, ratio)
         )
-        self.normal_offset: nn.Module | None = None
+        self.normal_offset: Any = None
         if normals:
             self.normal_offset = (
                 SampleMLP(features, head, 3, norm=norm)

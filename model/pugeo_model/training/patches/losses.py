@@ -62,9 +62,9 @@ def repulsion(points: Tensor, neighbours: int = 5, reach: float = 0.03) -> Tenso
         reach: h, in patch radii.
     """
     with torch.no_grad():
-        near = torch.cdist(points, points).topk(neighbours, dim=-1, largest=False).indices[..., 1:]
-    count = points.shape[1]
-    others = _take(points, near.flatten(1)).unflatten(1, (count, neighbours - 1))
+        apart = torch.cdist(points, points)
+        near = apart.topk(min(neighbours, len(apart[0])), dim=-1, largest=False).indices[..., 1:]
+    others = _take(points, near.flatten(1)).unflatten(1, near.shape[1:])
     apart = _length(points.unsqueeze(2) - others)
     return (-apart * torch.exp(-apart.square() / reach**2)).mean()
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from pugeo_model.network.patch_networks import build_patch_network
+from pugeo_model.network.build import build_network
 from pugeo_model.training.corpus import Shape, default_cache
 from pugeo_model.training.optimizer import Optimizer
 from pugeo_model.training.patches.batches import PatchBatch, PatchBatches
@@ -38,7 +38,7 @@ class PatchTrainer(Trainer):
     """One training run of a patch network in one folder; see :class:`Trainer`."""
 
     def _build(self) -> None:
-        self.net = build_patch_network(self.recipe.architecture)
+        self.net = build_network(self.recipe.architecture)
         self.optimizer = Adam(self.net, self.recipe.rate, self.recipe.decay)
         self.loss = PatchLoss(self._settings.weights)
 
@@ -60,7 +60,8 @@ class PatchTrainer(Trainer):
             torch.from_numpy(part)
             for part in (batch.points, batch.normals, batch.dense, batch.dense_normals)
         )
-        return self.loss(self.net(points), normals, dense, dense_normals)
+        total, parts = self.loss(self.net(points), normals, dense, dense_normals)
+        return total, parts
 
     def validate(self, steps: int = 12) -> dict[str, float]:
         """Parts of the loss on fixed patches of the validation shapes, turned but not perturbed."""
