@@ -21,7 +21,7 @@ from pugeo_model.metrics.reconstruction import Mesh
 from pugeo_model.render import BACKGROUND, Camera, splat
 from pugeo_model.training.corpus import uniform
 
-__all__ = ["FAR", "draw"]
+__all__ = ["FAR", "draw", "upright"]
 
 FAR = 2e-3
 """Distance to the true surface at the end of the colour bar, of the longest side."""
@@ -47,7 +47,7 @@ def draw(measured: Measured, target: Path, pixels: int = 520) -> None:
     assert dense.normals is not None
     points, normals = dense.points.astype(np.float64), dense.normals.astype(np.float64)
     distance, _, _ = measured.truth.distance.nearest(points)
-    turn = _upright(measured.truth.vertices)
+    turn = upright(measured.truth.vertices)
     camera = Camera.on(measured.truth.vertices @ turn.T, tilt=_TILT, pixels=pixels)
     row = measured.row
     clay = np.broadcast_to(_CLAY, points.shape)
@@ -75,7 +75,7 @@ def draw(measured: Measured, target: Path, pixels: int = 520) -> None:
     _write(panels, f"{measured.truth.name}, {measured.case.name}", target)
 
 
-def _upright(vertices: Floats) -> Floats:
+def upright(vertices: Floats) -> Floats:
     """``(3, 3)`` rotation of meshes that have no common up: y or z up, never x; broad side ahead.
 
     Models that stand, stand on y or z; of the two the longer is taken for the height.

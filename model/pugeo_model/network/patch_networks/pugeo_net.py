@@ -98,6 +98,8 @@ class PUGeoNetPaper(nn.Module):
         **backbone: arguments of :class:`DGCNN`.
     """
 
+    grid: Tensor
+
     def __init__(
         self,
         ratio: int,
