@@ -32,8 +32,10 @@ class Findings:
         normal_angle: ``(n,)`` degrees between ``t3`` and the true normal.
         curvature: ``(n, 2)`` predicted principal curvatures, sign as the true normal, times the
             radius 1/2 on the sphere; true are -1 there and 0 on faces of the cube.
-        metric: ``(n, 2)`` principal stretches of ``(u, v)``, the root of the eigenvalues of the
-            first fundamental form.
+        stretch: ``(n, 2)`` principal stretches of ``(u, v)``, the roots of the eigenvalues of the
+            first fundamental form; one where T is a rotation.
+        metric_error: ``(n,)`` ``|I - I*| / |I*|`` (Frobenius) with ``I*`` the first fundamental
+            form of the true surface, its points reached from the same ``x + T (u, v, 0)``.
         near_edge: ``(n,)`` the point is near an edge.
     """
 
@@ -42,7 +44,8 @@ class Findings:
     displacement: NDArray[np.float64]
     normal_angle: NDArray[np.float64]
     curvature: NDArray[np.float64]
-    metric: NDArray[np.float64]
+    stretch: NDArray[np.float64]
+    metric_error: NDArray[np.float64]
     near_edge: NDArray[np.bool_]
 
     def numbers(self) -> dict[str, float]:
@@ -53,13 +56,14 @@ class Findings:
             "angle median": float(np.median(self.axis_angle)),
             "angle below 3°, %": 100.0 * float((self.axis_angle < 3.0).mean()),
             "normal off, mean °": float(self.normal_angle.mean()),
-            "|delta| mean, spacings": float(displacement.mean()),
-            "|delta| 95 %, spacings": float(np.quantile(displacement, 0.95)),
-            "|delta| mean inside faces": float(displacement[inner].mean()),
+            "delta mean, spacings": float(displacement.mean()),
+            "delta 95 %, spacings": float(np.quantile(displacement, 0.95)),
+            "delta mean off edges": float(displacement[inner].mean()),
             "curvature mean (x r)": float(self.curvature[inner].mean()),
             "curvature std (x r)": float(self.curvature[inner].std()),
-            "stretch mean": float(self.metric.mean()),
-            "stretch std": float(self.metric.std()),
+            "stretch mean": float(self.stretch.mean()),
+            "stretch std": float(self.stretch.std()),
+            "metric off, %": 100.0 * float(self.metric_error[inner].mean()),
         }
 
 
@@ -104,16 +108,33 @@ def _findings(solid: Solid, predict: Callable[[NDArray[np.float64]], LocalSurfac
     sine = np.linalg.norm(np.cross(t3, true), axis=1)
     angle = np.degrees(np.arctan2(sine, np.abs((t3 * true).sum(axis=1))))
     side = np.sign((np.cross(found.Y_u, found.Y_v) * true).sum(axis=1))
-    first = np.linalg.eigvalsh(found.first_form)
+    stretch = np.sqrt(np.maximum(np.linalg.eigvalsh(found.first_form), 0.0))
     return Findings(
         solid.name,
         found.axis_angle,
         (found.displacement / spacing).ravel(),
         angle,
         0.5 * side[:, None] * found.principal_curvatures,
-        np.sqrt(np.maximum(first, 0.0)),
+        stretch,
+        _metric_error(found, true),
         solid.flat[found.rows] < _EDGE * spacing,
     )
+
+
+def _metric_error(found: LocalSurfaces, true: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Relative error of the first fundamental form at the points themselves, ``(n,)``.
+
+    Along ``t3`` the true surface is met at ``x + t_j du + a_j t3 du`` with
+    ``(t_j + a_j t3) . n = 0``.
+    """
+    t3 = found.T[:, :, 2]
+    tangents = found.T[:, :, :2]
+    along = np.einsum("nab,na->nb", tangents, true) / (t3 * true).sum(axis=1)[:, None]
+    met = tangents - along[:, None, :] * t3[:, :, None]
+    wanted = np.swapaxes(met, 1, 2) @ met
+    off = np.linalg.norm(found.first_form - wanted, axis=(1, 2))
+    error: NDArray[np.float64] = off / np.linalg.norm(wanted, axis=(1, 2))
+    return error
 
 
 def draw_histograms(findings: Sequence[Findings], target: Path) -> None:

@@ -30,7 +30,7 @@ NOISE = (0.0, 0.005, 0.01, 0.02)
 _RATIO = 16
 _REFERENCE = 20_000  # independent samples of the true surface
 _CLAY = np.array([0.62, 0.60, 0.56])
-_KITTI_SIDE = 24.0  # metres, of the part of the frame that is shown
+_KITTI_SIDE = 16.0  # metres, of the part of the frame that is shown
 
 Floats = NDArray[np.float64]
 Method = Callable[[Cloud, float], Cloud]

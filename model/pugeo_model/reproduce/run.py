@@ -74,7 +74,7 @@ _NOTES = {
     "robustness": (
         "Inputs above, outputs at R = 16 below, lit by their predicted normals. Numbers are CD "
         "(1e-2) and P2F (1e-3) of output and input against the true mesh; there is no truth for "
-        "the LiDAR frame."
+        "the LiDAR frame, a part of one of KITTI (CC BY-NC-SA 3.0)."
     ),
 }
 
