@@ -4,13 +4,9 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pugeo_model.errors import BadOption
-
-if TYPE_CHECKING:
-    from pugeo_model.network.model import Model
-    from pugeo_model.network.patch_model import PatchModel
 
 __all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
 
@@ -54,8 +50,11 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     return card
 
 
-def load(name_or_path: str | Path = "standard") -> "Model | PatchModel":
+def load(name_or_path: str | Path = "standard") -> Any:
     """Rebuild the network of a card and fill in its weights.
+
+    Returns:
+        A ``Model`` that predicts charts, or a ``PatchModel`` that upsamples whole patches.
 
     Raises:
         BadOption: no such weights.

@@ -94,10 +94,10 @@ def local_surfaces(weights: str | Path, points: NDArray[np.float64], ratio: int)
     return LocalSurfaces(rows=rows, **found)
 
 
-def verify(weights: str | Path, ratio: int) -> Iterator[Findings]:
-    """Findings on the sphere and on the cube, 5,000 points each."""
+def verify(weights: str | Path, ratio: int, count: int = 5000) -> Iterator[Findings]:
+    """Findings on the sphere and on the cube, ``count`` even points each."""
     for make in (sphere, cube):
-        yield _findings(make(), lambda points: local_surfaces(weights, points, ratio))
+        yield _findings(make(count), lambda points: local_surfaces(weights, points, ratio))
 
 
 def _findings(solid: Solid, predict: Callable[[NDArray[np.float64]], LocalSurfaces]) -> Findings:

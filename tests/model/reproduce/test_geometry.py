@@ -92,7 +92,7 @@ def test_the_papers_network(tmp_path):
     torch.manual_seed(0)
     path = tmp_path / "paper.safetensors"
     save(build_network(SMALL), {"name": "paper"}, path)
-    found = list(verify(path, 4))
+    found = list(verify(path, 4, count=1200))
     assert [each.name for each in found] == ["sphere", "cube"]
     for each in found:
         numbers = each.numbers()

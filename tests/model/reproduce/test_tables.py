@@ -20,7 +20,7 @@ from pugeo_model.formats import write
 from pugeo_model.metrics.evaluation import Truth
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
-from pugeo_model.reproduce import printed, tables
+from pugeo_model.reproduce import printed, rows, tables
 from pugeo_model.reproduce.document import lines_table, section
 from pugeo_model.reproduce.ear import ear
 from pugeo_model.reproduce.robustness import draw, few_points, lidar, noisy_points
@@ -35,7 +35,7 @@ TINY = (("k", 8), ("width", 8), ("fused", 16))
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory):
-    """A ball with a sample of 5,000 points: mesh, folder of samples."""
+    """A ball with a sample of 1,000 points, in the place of 5,000: mesh, folder of samples."""
     folder = tmp_path_factory.mktemp("truth")
     theta, phi = np.meshgrid(np.linspace(0, np.pi, 33), np.linspace(0, 2 * np.pi, 65)[:-1])
     grid = np.stack(
@@ -48,8 +48,10 @@ def truth(tmp_path_factory):
     (folder / "inputs").mkdir()
     mesh = folder / "meshes/ball.ply"
     igl.write_triangle_mesh(str(mesh), 0.5 * grid.reshape(-1, 3), faces.reshape(-1, 3))
-    write(Cloud(sphere().points.astype(np.float32)), folder / "inputs/ball_5000.ply")
-    return Truth(mesh), folder
+    write(Cloud(sphere(1000).points.astype(np.float32)), folder / "inputs/ball_1000.ply")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rows, "_POINTS", 1000)
+        yield Truth(mesh), folder
 
 
 @pytest.fixture
@@ -108,7 +110,7 @@ def test_rows_are_kept(truth, tmp_path):
         return twice(cloud, ratio)
 
     first = RowStore(tmp_path / "rows.json", setting).row("twice x2", method, 2)
-    assert 0 < first.columns["P2F"] < 2.0
+    assert 0 < first.columns["P2F"] < 3.0
     assert first.columns["normal_mean"] < 3.0
     assert first.spent >= first.seconds > 0
     store = RowStore(tmp_path / "rows.json", setting)
@@ -163,11 +165,11 @@ def test_normals_are_compared_at_the_same_points(truth, networks, tmp_path):
     shape, samples = truth
     store = RowStore(tmp_path / "rows.json", Setting([shape], samples, surfaces=False))
     lines = list(tables.normals(store, networks, "fast", ratio=4))
-    rows = [line.row for line in lines if line.row is not None]
+    found = [line.row for line in lines if line.row is not None]
     # Ours and the tiny network of the paper; PU-Net-M is not there.
-    assert len(rows) == 2 * 6
-    assert len({row.columns["CD"] for row in rows[:6]}) == 1
-    assert len({row.columns["normal_mean"] for row in rows[:6]}) == 6
+    assert len(found) == 2 * 6
+    assert len({row.columns["CD"] for row in found[:6]}) == 1
+    assert len({row.columns["normal_mean"] for row in found[:6]}) == 6
     assert [line.printed for line in lines[:5]] == [
         printed.NORMALS[f"PCA-{count}"] for count in tables.PCA_COUNTS
     ]
@@ -228,6 +230,7 @@ def test_ear():
     assert (dense.normals * dense.points).sum(axis=1).min() > 0.4
 
 
+@pytest.mark.slow
 def test_the_command(truth, networks, tmp_path):
     """One part after the other into one document; an unknown part is refused."""
     shape, samples = truth
