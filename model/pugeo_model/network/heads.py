@@ -68,15 +68,21 @@ class Frame(nn.Module):
 
     ``T`` is made orthonormal (Gram-Schmidt of identity plus residual). A free 3x3 shares its
     scale and rotation with (u, v): trained so, T shrank, (u, v) grew and T^-1 exploded.
+
+    Args:
+        features: channels of ``c_i``.
+        learned: predict T; it is the canonical frame itself otherwise (ablation of Table 3).
     """
 
-    def __init__(self, features: int) -> None:
+    def __init__(self, features: int, *, learned: bool = True) -> None:
         super().__init__()
-        self.out = _quiet(Linear(features, 6))
+        self.out = _quiet(Linear(features, 6)) if learned else None
         self.register_buffer("identity", torch.eye(3)[:2].flatten(), persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
         """``(n, features)`` -> ``(n, 3, 3)``; columns are the two tangents and the normal."""
+        if self.out is None:
+            return torch.eye(3).expand(len(features), 3, 3)
         with wide_products():
             out = self.out(features).float()
         first, second = (out + self.identity).unflatten(-1, (2, 3)).unbind(1)
@@ -90,10 +96,18 @@ class Samples(nn.Module):
 
     An even disk pattern, times a learned 2x2 stretch, plus a learned residual. The network sees
     each pattern point, its radius and ``R^-1/2``, so one set of weights serves every ratio.
+
+    Args:
+        features: channels of ``c_i``.
+        width: hidden channels.
+        learned: adapt the pattern; every chart has the same otherwise (ablation of Table 3).
     """
 
-    def __init__(self, features: int, width: int) -> None:
+    def __init__(self, features: int, width: int, *, learned: bool = True) -> None:
         super().__init__()
+        self.learned = learned
+        if not learned:
+            return
         self.stretch = _quiet(Linear(features, 4))
         self.code = Linear(features, width)
         self.pattern = Linear(4, width, bias=False)
@@ -104,6 +118,8 @@ class Samples(nn.Module):
     def forward(self, features: Tensor, count: int) -> Tensor:
         """``(n, features)`` -> ``(n, count, 2)`` in spacings."""
         pattern = torch.from_numpy(disk(count))
+        if not self.learned:
+            return (_DISK * pattern).expand(len(features), -1, -1)
         inverse_root = count**-0.5
         seen = torch.cat(
             [

@@ -14,7 +14,7 @@ from pugeo_model.geometry.pca_normals import pca_normals
 from pugeo_model.reproduce import printed
 from pugeo_model.reproduce.ear import ear
 from pugeo_model.reproduce.rows import Row, RowStore
-from pugeo_model.reproduce.trained import ABLATIONS, RATIOS, Trained, megabytes
+from pugeo_model.reproduce.trained import ABLATIONS, RATIOS, SERVED, Trained, megabytes
 from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import read_card
 
@@ -78,7 +78,7 @@ def comparison(store: RowStore, folder: Path, served: str) -> Iterator[Line]:
     for ratio in RATIOS:
         yield _ear(store, ratio)
         for recipe in ("pu_net", "mpu", "paper"):
-            line = _trained(store, folder, Trained(recipe, ratio))
+            line = _trained(store, folder, Trained(recipe, ratio), ratio)
             key = (recipe, ratio)
             yield replace(
                 line,
@@ -95,7 +95,7 @@ def normals(store: RowStore, folder: Path, served: str, ratio: int = 8) -> Itera
     """
     for name, key, upsample, missing in (
         _source(served, served),
-        _of(folder, Trained("paper", ratio)),
+        _of(folder, Trained("paper", ratio), ratio),
     ):
         if upsample is None:
             yield missing
@@ -111,16 +111,24 @@ def normals(store: RowStore, folder: Path, served: str, ratio: int = 8) -> Itera
             )
         row = store.row(f"{key} x{ratio}", dense, ratio)
         yield Line(f"{name}: predicted", ratio, row, printed=printed.NORMALS["predicted"])
-    line = _trained(store, folder, Trained("pu_net_m", ratio))
+    line = _trained(store, folder, Trained("pu_net_m", ratio), ratio)
     yield replace(line, printed=printed.NORMALS["pu_net_m"])
 
 
 def ablation(store: RowStore, folder: Path, ratio: int = 8) -> Iterator[Line]:
-    """Table 3: the paper's network without one part each, and whole."""
+    """Table 3: the paper's network without one part each, and whole; then ours.
+
+    All were trained for this table: the full model of ours is not the served one, but one of an
+    equal budget.
+    """
     for recipe in (*ABLATIONS, "paper"):
-        line = _trained(store, folder, Trained(recipe, ratio))
+        line = _trained(store, folder, Trained(recipe, ratio), ratio)
         name = "full model" if recipe == "paper" else line.method
         yield replace(line, method=name, printed=printed.ABLATION[recipe])
+    for recipe in (*SERVED, "standard"):
+        line = _trained(store, folder, Trained(recipe, None), ratio)
+        name = "full model" if recipe == "standard" else line.method
+        yield replace(line, method=f"ours, {name}")
 
 
 def _ear(store: RowStore, ratio: int) -> Line:
@@ -130,18 +138,18 @@ def _ear(store: RowStore, ratio: int) -> Line:
     return replace(line, row=store.row(f"ear x{ratio}", ear, ratio))
 
 
-def _trained(store: RowStore, folder: Path, which: Trained) -> Line:
+def _trained(store: RowStore, folder: Path, which: Trained, ratio: int) -> Line:
     if reason := which.impossible():
-        return Line(LABELS[which.recipe], which.ratio, None, reason)
-    name, key, method, missing = _of(folder, which)
+        return Line(_label(which.recipe), ratio, None, reason)
+    name, key, method, missing = _of(folder, which, ratio)
     if method is None:
         return missing
     card = which.card(folder)
     assert card is not None
     return Line(
         name,
-        which.ratio,
-        store.row(f"{key} x{which.ratio}", method, which.ratio),
+        ratio,
+        store.row(f"{key} x{ratio}", method, ratio),
         megabytes=megabytes(card),
         budget=_budget(card),
         command=which.command(folder, card["training"]["steps"]),
@@ -165,12 +173,17 @@ def _served(store: RowStore, served: str, ratio: int) -> Line:
 _Source = tuple[str, str, Method | None, Line]
 
 
-def _of(folder: Path, which: Trained) -> _Source:
+def _label(recipe: str) -> str:
+    """As tables call a recipe; ablations of the served network as those of the paper's."""
+    return LABELS[recipe.replace("standard", "paper")]
+
+
+def _of(folder: Path, which: Trained, ratio: int) -> _Source:
     path = which.weights(folder)
-    label = LABELS[which.recipe]
+    label = _label(which.recipe)
     if not path.exists():
         why = f"not trained yet: `{which.command(folder)}`"
-        return label, "", None, Line(label, which.ratio, None, why)
+        return label, "", None, Line(label, ratio, None, why)
     return _source(str(path), label)
 
 

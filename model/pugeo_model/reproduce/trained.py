@@ -8,7 +8,7 @@ from typing import Any
 
 from pugeo_model.weights import read_card
 
-__all__ = ["ABLATIONS", "RATIOS", "Trained", "megabytes", "needed", "train_missing"]
+__all__ = ["ABLATIONS", "RATIOS", "SERVED", "Trained", "megabytes", "needed", "train_missing"]
 
 RATIOS = (4, 8, 12, 16)
 """R of Table 1."""
@@ -20,7 +20,10 @@ ABLATIONS = (
     "paper_no_linear_map",
     "paper_no_coarse",
 )
-"""Recipes of Table 3, each the full recipe without one part."""
+"""Recipes of Table 3, each the full recipe ``paper`` without one part."""
+
+SERVED = tuple(name.replace("paper", "standard") for name in ABLATIONS)
+"""The same parts left out of the served network, recipe ``standard``."""
 
 _EVERY = 250  # steps between checkpoints: some minutes on one core
 _BYTES = 4  # of a float32
@@ -33,16 +36,16 @@ class Trained:
 
     Attributes:
         recipe: name of the recipe.
-        ratio: R.
+        ratio: R; ``None`` where one network serves every R.
     """
 
     recipe: str
-    ratio: int
+    ratio: int | None
 
     @property
     def name(self) -> str:
-        """Such as ``paper_x4``."""
-        return f"{self.recipe}_x{self.ratio}"
+        """Such as ``paper_x4``, or the recipe's name where R does not matter."""
+        return self.recipe if self.ratio is None else f"{self.recipe}_x{self.ratio}"
 
     def weights(self, folder: Path) -> Path:
         """Where its weights are: ``FOLDER/NAME/NAME.safetensors``, the folder of its run."""
@@ -51,8 +54,9 @@ class Trained:
     def command(self, folder: Path, steps: int | None = None) -> str:
         """The command that trains it."""
         length = "" if steps is None else f" --steps {steps}"
+        ratio = "" if self.ratio is None else f" --ratio {self.ratio}"
         return (
-            f"pugeo train MESHES --val VAL --recipe {self.recipe} --ratio {self.ratio}{length}"
+            f"pugeo train MESHES --val VAL --recipe {self.recipe}{ratio}{length}"
             f" --name {self.name} --out {folder / self.name}"
         )
 
@@ -63,7 +67,7 @@ class Trained:
 
     def impossible(self) -> str | None:
         """Why no network of this recipe can have this R, if so."""
-        if self.recipe == "mpu" and self.ratio & (self.ratio - 1):
+        if self.recipe == "mpu" and self.ratio and self.ratio & (self.ratio - 1):
             return "a cascade of 2x steps makes powers of 2 alone"
         return None
 
@@ -77,7 +81,8 @@ def needed() -> list[Trained]:
     """All networks of Tables 1 to 3."""
     comparison = [Trained(recipe, R) for R in RATIOS for recipe in ("paper", "pu_net", "mpu")]
     others = [Trained(recipe, 8) for recipe in ("pu_net_m", *ABLATIONS)]
-    return [each for each in (*comparison, *others) if each.impossible() is None]
+    served = [Trained(recipe, None) for recipe in (*SERVED, "standard")]
+    return [each for each in (*comparison, *others, *served) if each.impossible() is None]
 
 
 def train_missing(
@@ -105,7 +110,9 @@ def train_missing(
 
     shapes, validation = load_shapes(meshes), load_shapes(val)
     for each in wanted:
-        recipe = with_ratio(read_recipe(each.recipe), each.ratio)
+        recipe = read_recipe(each.recipe)
+        if each.ratio is not None:
+            recipe = with_ratio(recipe, each.ratio)
         recipe = replace(recipe, steps=recipe.steps if steps is None else steps)
         card = each.card(folder)
         if card is not None and card["training"]["steps"] >= recipe.steps:

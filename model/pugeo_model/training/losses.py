@@ -43,7 +43,8 @@ class Weights:
             added, for outliers.
         coarse_normal: of ``T (0, 0, 1)``.
         refined_normal: of the final normal.
-        blended: of P2F and normals of blended charts.
+        blended: of P2F and normals of blended charts; of the latter the less, the less
+            ``refined_normal`` is below 1/6, so that without it nothing supervises normals.
         confidence: of the regression of each chart's log error.
         noise: a patch's weight is ``1 / (1 + noise * sigma / s)``: its loss is large whatever
             the network does, and must not drown the clean ones.
@@ -168,7 +169,11 @@ class JointLoss:
             + w.coarse_normal * parts["coarse_normal"]
             + w.refined_normal * parts["refined_normal"]
             + w.blended
-            * (parts["blended_p2f"] + parts["blended_normal"] / 6 + parts["chart_p2f"] / 2)
+            * (
+                parts["blended_p2f"]
+                + min(6 * w.refined_normal, 1.0) * parts["blended_normal"] / 6
+                + parts["chart_p2f"] / 2
+            )
             + w.confidence * (parts["confidence"] + parts["chart_confidence"])
         )
         return total, {name: float(part.detach()) for name, part in parts.items()}

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +11,8 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.patches import cut
 from pugeo_model.network.blend import blend
 from pugeo_model.network.neighbourhoods import gather
-from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
+from pugeo_model.network.pattern import disk
+from pugeo_model.network.pugeo import Architecture, Charts, PUGeoNet, evaluate
 
 
 @pytest.fixture
@@ -99,3 +103,33 @@ def test_blend_leaves_points_of_a_plane_alone(net, plane):
     assert step.norm(dim=1).max() < 0.05 * frames.spacing.mean()
     cosine = (normals.numpy() @ normal).astype(np.float64)
     assert np.abs(cosine).min() > 0.99
+
+
+@pytest.mark.parametrize("switch", ["adaptive_uv", "linear_map", "recalibrate"])
+def test_ablations(sphere, switch):
+    """Each switch of Table 3 leaves out its part and its weights; the card rebuilds the network."""
+    torch.manual_seed(0)
+    full = Architecture(options=(("width", 16), ("edge_width", 16)), features=32, head=32)
+    if switch == "recalibrate":
+        options = (*full.options, ("recalibrate", False))
+        architecture = replace(full, options=options)
+    else:
+        changed: dict[str, Any] = {switch: False}
+        architecture = replace(full, **changed)
+    assert Architecture.from_json(architecture.to_json()) == architecture
+    assert switch not in full.to_json()
+    net = PUGeoNet(architecture).eval()
+    whole = {name for name, _ in PUGeoNet(full).named_parameters()}
+    gone = whole - {name for name, _ in net.named_parameters()}
+    part = {"adaptive_uv": "samples.", "linear_map": "frame.", "recalibrate": ".logits."}[switch]
+    assert gone
+    assert all(part in name for name in gone)
+    patch = patch_of(sphere)
+    quadric = torch.from_numpy(patch.frames.quadric[:200])
+    with torch.inference_mode():
+        charts, uv = net(gather([patch]), quadric, 4)
+    assert uv.shape == (200, 4, 2)
+    if switch == "adaptive_uv":
+        torch.testing.assert_close(uv, 0.87 * torch.from_numpy(disk(4)).expand(200, 4, 2))
+    if switch == "linear_map":
+        torch.testing.assert_close(charts.T, torch.eye(3).expand(200, 3, 3))

@@ -80,9 +80,9 @@ def twice(cloud, ratio):
 
 
 def test_all_networks_of_the_tables():
-    """Three methods at four R but for MPU at 12, five ablations and PU-Net-M at 8; all recipes."""
+    """Three methods at four R but MPU at 12, PU-Net-M, five ablations of both networks, ours."""
     names = [each.name for each in needed()]
-    assert len(names) == len(set(names)) == 3 * 4 - 1 + 1 + 5
+    assert len(names) == len(set(names)) == 3 * 4 - 1 + 1 + 5 + 5 + 1
     assert "mpu_x12" not in names
     assert {each.recipe for each in needed()} <= set(available_recipes())
     assert Trained("mpu", 12).impossible()
@@ -177,12 +177,14 @@ def test_normals_are_compared_at_the_same_points(truth, networks, tmp_path):
 
 
 def test_the_ablation(truth, networks, tmp_path):
-    """Five recipes and the full model, each with the paper's numbers."""
+    """Five recipes and the full model, with the paper's numbers; then the same of ours."""
     shape, samples = truth
     store = RowStore(tmp_path / "rows.json", Setting([shape], samples, surfaces=False))
     lines = list(tables.ablation(store, networks, ratio=4))
-    assert [line.method for line in lines][-1] == "full model"
-    assert [line.row is not None for line in lines] == [False] * 5 + [True]
+    assert [line.method for line in lines][5::6] == ["full model", "ours, full model"]
+    assert [line.row is not None for line in lines] == [False] * 5 + [True] + [False] * 6
+    assert lines[6].method == "ours, without feature recalibration"
+    assert "--recipe standard_no_recalibration --name" in lines[6].why
     assert lines[0].printed == printed.ABLATION["paper_no_recalibration"]
 
 

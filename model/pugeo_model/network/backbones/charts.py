@@ -27,15 +27,18 @@ class Recalibration(nn.Module):
     Args:
         scales: number of scales.
         width: channels of each.
+        learned: weigh the scales; all weights are 1 otherwise (ablation of Table 3).
     """
 
-    def __init__(self, scales: int, width: int) -> None:
+    def __init__(self, scales: int, width: int, *, learned: bool = True) -> None:
         super().__init__()
         self.scales = scales
-        self.logits = Linear(scales * width, scales)
+        self.logits = Linear(scales * width, scales) if learned else None
 
     def forward(self, features: Tensor) -> Tensor:
         """``(n, scales * width)`` -> the same, each scale times its weight, mean weight 1."""
+        if self.logits is None:
+            return features
         weights = functional.softmax(self.logits(features).float(), dim=-1) * self.scales
         parts: Tensor = features.unflatten(-1, (self.scales, -1)) * weights.unsqueeze(-1).to(
             features.dtype
@@ -46,11 +49,11 @@ class Recalibration(nn.Module):
 class Neighbours(nn.Module):
     """A small MLP on each neighbour, pooled at three scales and on average."""
 
-    def __init__(self, width: int, out: int) -> None:
+    def __init__(self, width: int, out: int, *, recalibrate: bool) -> None:
         super().__init__()
         self.first = Rectified(EDGE, width)
         self.second = Rectified(width, width)
-        self.recalibration = Recalibration(len(_SCALES) + 1, width)
+        self.recalibration = Recalibration(len(_SCALES) + 1, width, learned=recalibrate)
         self.out = Rectified((len(_SCALES) + 1) * width + SCALARS, out)
 
     def forward(self, edges: Tensor, scalars: Tensor) -> Tensor:
@@ -105,16 +108,23 @@ class ChartsBackbone(nn.Module):
         edge_width: channels of the per-neighbour MLP.
         features: channels of the result.
         expansion: of each round's MLP on points, see ``Messages``.
+        recalibrate: weigh scales and levels by a softmax; plain concatenation otherwise.
     """
 
     def __init__(
-        self, width: int = 128, edge_width: int = 64, features: int = 256, expansion: int = 0
+        self,
+        width: int = 128,
+        edge_width: int = 64,
+        features: int = 256,
+        expansion: int = 0,
+        *,
+        recalibrate: bool = True,
     ) -> None:
         super().__init__()
-        self.neighbours = Neighbours(edge_width, width)
+        self.neighbours = Neighbours(edge_width, width, recalibrate=recalibrate)
         self.norm = nn.LayerNorm(width)
         self.messages = nn.ModuleList(Messages(width, expansion) for _ in MESSAGES)
-        self.recalibration = Recalibration(len(MESSAGES) + 1, width)
+        self.recalibration = Recalibration(len(MESSAGES) + 1, width, learned=recalibrate)
         self.out = Rectified((len(MESSAGES) + 1) * width, features)
 
     def forward(self, hoods: Neighbourhoods) -> Tensor:
