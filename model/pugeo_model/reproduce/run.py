@@ -10,12 +10,13 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.metrics.evaluation import truths
 from pugeo_model.metrics.report import require
 from pugeo_model.reproduce import tables
+from pugeo_model.reproduce.budget import draw_curves, full_schedule
 from pugeo_model.reproduce.document import figures_table, lines_table, section
 from pugeo_model.reproduce.geometry import draw_histograms, verify
 from pugeo_model.reproduce.printed import PRINTED_COLUMNS
 from pugeo_model.reproduce.robustness import NOISE, Shown, draw, few_points, lidar, noisy_points
 from pugeo_model.reproduce.rows import RowStore, Setting
-from pugeo_model.reproduce.trained import Trained
+from pugeo_model.reproduce.trained import RATIOS, Trained
 from pugeo_model.upsampler import Upsampler
 
 __all__ = ["PARTS", "Reproduction"]
@@ -138,7 +139,8 @@ class Reproduction:
         self._document.write_text(text, "utf-8")
 
     def _comparison(self) -> tuple[str, float]:
-        return self._table(tables.comparison(self._store, self._folder, self._served))
+        table, spent = self._table(tables.comparison(self._store, self._folder, self._served))
+        return "\n\n".join([table, *self._budget()]), spent
 
     def _normals(self) -> tuple[str, float]:
         lines = tables.normals(self._store, self._folder, self._served)
@@ -146,6 +148,23 @@ class Reproduction:
 
     def _ablation(self) -> tuple[str, float]:
         return self._table(tables.ablation(self._store, self._folder))
+
+    def _budget(self) -> list[str]:
+        """What training took, and its curves at R = 4 where runs have logs."""
+        parts, logs = [], {}
+        for recipe in ("paper", "pu_net", "mpu"):
+            which = Trained(recipe, RATIOS[0])
+            card, log = which.card(self._folder), which.weights(self._folder).with_name("log.csv")
+            if card is None:
+                continue
+            parts.append(f"- {tables.LABELS[recipe]}: {full_schedule(card)}.")
+            if log.exists():
+                logs[tables.LABELS[recipe]] = log
+        if not logs:
+            return ["\n".join(parts)] if parts else []
+        target = self._picture("curves.png")
+        draw_curves(logs, target)
+        return ["\n".join(parts), self._link("validation losses over hours", target)]
 
     def _table(
         self, lines: Iterable[tables.Line], columns: tuple[str, ...] = PRINTED_COLUMNS

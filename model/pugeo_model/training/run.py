@@ -106,7 +106,8 @@ def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> d
         "training": {
             "command": (
                 f"pugeo train {meshes.name} --out RUN --val VAL --recipe {Path(recipe_name).name}"
-                f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
+                + (f" --ratio {trainer.net.ratio}" if recipe.patches else "")
+                + f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
                 f" --name {name}" + (f" --start {Path(recipe.start).name}" if recipe.start else "")
             ),
             "recipe": recipe.to_json(),

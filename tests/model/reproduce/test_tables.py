@@ -21,6 +21,7 @@ from pugeo_model.metrics.evaluation import Truth
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.reproduce import printed, rows, tables
+from pugeo_model.reproduce.budget import draw_curves, full_schedule
 from pugeo_model.reproduce.document import lines_table, section
 from pugeo_model.reproduce.ear import ear
 from pugeo_model.reproduce.robustness import draw, few_points, lidar, noisy_points
@@ -64,7 +65,7 @@ def networks(tmp_path):
         card = {
             "name": name,
             "parameters": sum(p.numel() for p in net.parameters()),
-            "training": {"steps": 7, "hours": 0.01, "command": "pugeo train"},
+            "training": {"steps": 7, "hours": 0.01, "command": "pugeo train", "hardware": "a CPU"},
         }
         save(net, card, tmp_path / name / f"{name}.safetensors")
     return tmp_path
@@ -176,6 +177,17 @@ def test_normals_are_compared_at_the_same_points(truth, networks, tmp_path):
     assert "pu_net_m" in lines[-1].why
 
 
+def test_curves_and_the_papers_schedule(tmp_path):
+    """A picture from logs, with and without normals; 240,000 steps at the measured speed."""
+    full, bare = tmp_path / "full.csv", tmp_path / "bare.csv"
+    full.write_text("step,val_chamfer,val_refined_normal,hours\n250,.06,.2,.1\n500,.05,.1,.2\n")
+    bare.write_text("step,val_chamfer,hours\n250,.07,.1\n500,.06,.2\n")
+    draw_curves({"full": full, "bare": bare}, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 5000
+    training = {"steps": 1000, "hours": 0.25, "hardware": "1 thread(s) of a CPU"}
+    assert "would take 60 h" in full_schedule({"training": training})
+
+
 def test_the_ablation(truth, networks, tmp_path):
     """Five recipes and the full model, with the paper's numbers; then the same of ours."""
     shape, samples = truth
@@ -233,19 +245,22 @@ def test_ear():
 
 
 @pytest.mark.slow
-def test_the_command(truth, networks, tmp_path):
+def test_the_command(truth, networks, tmp_path, monkeypatch):
     """One part after the other into one document; an unknown part is refused."""
     shape, samples = truth
     document = tmp_path / "docs/paper.md"
     common = ["reproduce", "--meshes", str(samples / "meshes"), "--samples", str(samples)]
     common += ["--networks", str(networks), "--out", str(document), "--no-surfaces"]
     common += ["--model", "fast"]
-    for part in ("ablation", "geometry"):
+    monkeypatch.setattr(tables, "RATIOS", (4,))
+    monkeypatch.setattr(tables, "find_spec", lambda _: None)
+    for part in ("comparison", "ablation", "geometry"):
         result = CliRunner().invoke(app, [*common, "--part", part])
         assert result.exit_code == 0, result.output
     text = document.read_text()
     assert text.index("## Table 3") < text.index("## Figure")
     assert "pugeo reproduce --part geometry" in text
+    assert "7 steps took 0.0 h on a CPU" in text
     assert (document.parent / "images/paper/geometry_fast.png").exists()
     refused = CliRunner().invoke(app, [*common, "--part", "table9"])
     assert refused.exit_code != 0
