@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/paper.md: every table and figure with command, seconds, budget and the printed numbers."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from pugeo_model.reproduce.printed import PRINTED_COLUMNS
@@ -35,7 +36,7 @@ def lines_table(lines: Iterable[Line], columns: Sequence[str] = PRINTED_COLUMNS)
         angle = seconds = ""
         if line.row is not None:
             angle = _number(line.row.columns.get("normal_mean"), 2)
-            seconds = f"{line.row.seconds:.0f}"
+            seconds = _number(line.row.seconds, 0)
         budget = line.budget or (line.why and "none, see below")
         rows.append([str(line.ratio), line.method, *cells, angle, size, budget, seconds])
         if line.why:
@@ -63,7 +64,7 @@ def _pair(ours: float | None, theirs: float | None, decimals: int) -> str:
 
 
 def _number(value: float | None, decimals: int) -> str:
-    return "-" if value is None else f"{value:.{decimals}f}"
+    return "-" if value is None or math.isnan(value) else f"{value:.{decimals}f}"
 
 
 def figures_table(rows: Mapping[str, Mapping[str, float]]) -> str:

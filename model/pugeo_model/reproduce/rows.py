@@ -42,7 +42,7 @@ class Row:
 
     Attributes:
         columns: mean over shapes; empty where the method cannot do it.
-        seconds: of upsampling, all shapes together.
+        seconds: of upsampling, all shapes together; NaN where another program did it.
         spent: of upsampling, reconstruction and measuring.
     """
 

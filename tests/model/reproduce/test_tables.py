@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +15,17 @@ import igl
 
 from pugeo_model.cli import app
 from pugeo_model.cloud import Cloud
-from pugeo_model.formats import write
+from pugeo_model.formats import read, write
 from pugeo_model.metrics.evaluation import Truth
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.reproduce import printed, rows, tables
 from pugeo_model.reproduce.budget import draw_curves, full_schedule
 from pugeo_model.reproduce.document import lines_table, section
-from pugeo_model.reproduce.ear import ear
 from pugeo_model.reproduce.robustness import draw, few_points, lidar, noisy_points
 from pugeo_model.reproduce.rows import RowStore, Setting, reference
 from pugeo_model.reproduce.solids import sphere
+from pugeo_model.reproduce.stored import stored, stored_path
 from pugeo_model.reproduce.trained import ABLATIONS, RATIOS, Trained, megabytes, needed
 from pugeo_model.training.recipes import available_recipes
 from pugeo_model.weights import read_card, save
@@ -140,7 +139,6 @@ def test_the_comparison(truth, networks, tmp_path, monkeypatch):
     """Trained networks are measured; for others, and for what cannot be, it says why."""
     shape, samples = truth
     monkeypatch.setattr(tables, "RATIOS", (4, 12))
-    monkeypatch.setattr(tables, "find_spec", lambda _: None)
     store = RowStore(tmp_path / "rows.json", Setting([shape], samples, surfaces=False))
     lines = {(line.method, line.ratio): line for line in tables.comparison(store, networks, "fast")}
     paper = lines["PUGeo-Net as published", 4]
@@ -152,7 +150,7 @@ def test_the_comparison(truth, networks, tmp_path, monkeypatch):
     assert "7 steps" in paper.budget
     assert "powers of 2" in lines["MPU", 12].why
     assert "pugeo train" in lines["PU-Net", 12].why
-    assert "cgal" in lines["EAR", 4].why
+    assert "benchmarks.ear" in lines["EAR", 4].why
     ours = [line for name, line in lines.items() if "ours" in name[0]]
     assert len(ours) == 2
     assert all(line.row is not None for line in ours)
@@ -186,6 +184,23 @@ def test_curves_and_the_papers_schedule(tmp_path):
     assert (tmp_path / "curves.png").stat().st_size > 5000
     training = {"steps": 1000, "hours": 0.25, "hardware": "1 thread(s) of a CPU"}
     assert "would take 60 h" in full_schedule({"training": training})
+
+
+def test_clouds_of_another_program(truth, tmp_path):
+    """They are found by their input; another input has none, and its row no seconds."""
+    shape, samples = truth
+    cloud = read(samples / "inputs/ball_1000.ply")
+    folder = tmp_path / "ear_x4"
+    folder.mkdir()
+    write(twice(cloud, 4), stored_path(folder, cloud), format="ply")
+    store = RowStore(tmp_path / "rows.json", Setting([shape], samples, surfaces=False))
+    line = next(tables.comparison(store, tmp_path, "fast"))
+    assert line.method == "EAR"
+    assert line.row is not None
+    assert line.row.columns["normal_mean"] < 3.0
+    assert np.isnan(line.row.seconds)
+    with pytest.raises(FileNotFoundError, match="no dense cloud"):
+        stored(folder)(Cloud(cloud.points[:-1]), 4.0)
 
 
 def test_the_ablation(truth, networks, tmp_path):
@@ -233,17 +248,6 @@ def test_robustness_figures(truth, tmp_path):
         lidar(twice, frame)
 
 
-@pytest.mark.skipif(find_spec("CGAL") is None, reason="needs pip install cgal")
-def test_ear():
-    """Exactly R M points near the sphere, with outward normals."""
-    cloud = Cloud(sphere(1000).points)
-    dense = ear(cloud, 4.0)
-    assert len(dense) == 4000
-    assert np.abs(np.linalg.norm(dense.points, axis=1) - 0.5).max() < 0.02
-    assert dense.normals is not None
-    assert (dense.normals * dense.points).sum(axis=1).min() > 0.4
-
-
 @pytest.mark.slow
 def test_the_command(truth, networks, tmp_path, monkeypatch):
     """One part after the other into one document; an unknown part is refused."""
@@ -253,7 +257,6 @@ def test_the_command(truth, networks, tmp_path, monkeypatch):
     common += ["--networks", str(networks), "--out", str(document), "--no-surfaces"]
     common += ["--model", "fast"]
     monkeypatch.setattr(tables, "RATIOS", (4,))
-    monkeypatch.setattr(tables, "find_spec", lambda _: None)
     for part in ("comparison", "ablation", "geometry"):
         result = CliRunner().invoke(app, [*common, "--part", part])
         assert result.exit_code == 0, result.output

@@ -1,16 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EAR, edge-aware resampling (Huang et al. 2013), through the Python package of CGAL.
+"""EAR, edge-aware resampling (Huang et al. 2013), by CGAL, for Table 1 of the paper.
 
-CGAL is under the GPL and is no dependency of this project; the row is left out where it is not
-installed (``pip install cgal``).
+    pip install cgal
+    python -m benchmarks.ear SAMPLES reproduction
+    pugeo reproduce --part comparison --networks reproduction ...
+
+CGAL is under the GPL. No package of this project imports it, nor depends on it: this program
+writes files, and the reproduction reads them.
 """
+
+import argparse
+import time
+from pathlib import Path
 
 import numpy as np
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.formats import read, write
 from pugeo_model.options import Options
+from pugeo_model.reproduce.stored import stored_path
+from pugeo_model.reproduce.trained import RATIOS
 
-__all__ = ["ear"]
+__all__ = ["ear", "main"]
 
 _NEIGHBOURS = 16  # of the normals, as the paper takes for methods without normals
 _SHARPNESS = 25.0  # degrees between normals beyond which there is an edge: CGAL's default
@@ -51,3 +62,25 @@ def ear(cloud: Cloud, ratio: float) -> Cloud:
 
 def _xyz(vector: object) -> tuple[float, float, float]:
     return vector.x(), vector.y(), vector.z()  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    """Write the dense clouds of all inputs and ratios."""
+    parser = argparse.ArgumentParser(description="EAR of all NAME_5000.ply, for pugeo reproduce.")
+    parser.add_argument("samples", type=Path, help="folder with inputs/NAME_5000.ply")
+    parser.add_argument("networks", type=Path, help="folder that pugeo reproduce is given")
+    parser.add_argument("--ratio", type=int, nargs="*", default=list(RATIOS))
+    asked = parser.parse_args()
+    for ratio in asked.ratio:
+        folder = asked.networks / f"ear_x{ratio}"
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted((asked.samples / "inputs").glob("*_5000.ply")):
+            cloud = read(path)
+            begun = time.perf_counter()
+            dense = ear(cloud, ratio)
+            write(dense, stored_path(folder, cloud), format="ply")
+            print(f"{path.stem} x{ratio}: {time.perf_counter() - begun:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
