@@ -46,9 +46,9 @@ ENV PATH=/opt/venv/bin:$PATH \
     PUGEO_JOBS_DIR=/var/lib/pugeo/jobs
 USER 10001:10001
 WORKDIR /var/spool/pugeo
-# The geometry kernels are compiled here once, by making a small cloud denser; a host with another
-# processor compiles its own into the same folder.
-RUN ["python", "-c", "from pugeo_service.engine.preload import warm; warm('standard')"]
+# The kernels are compiled here once; a host with another processor compiles its own into the same
+# folder.
+RUN ["python", "-c", "from pugeo_model.kernel_cache import compile_kernels; compile_kernels(print)"]
 EXPOSE 8000
 STOPSIGNAL SIGTERM
 # The first start on another processor compiles; it gets two minutes before a failed probe counts.

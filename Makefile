@@ -14,7 +14,7 @@ INSTALL := $(PIP) install -qq --constraint constraints.txt
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-long test-postgres serve lint format train bench openapi constraints clean
+.PHONY: help install demo test test-long test-postgres serve lint format train bench docs digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,11 +52,18 @@ format: $(VENV)/.installed-dev ## let ruff format the code and mend what it can
 train: $(VENV)/.installed-dev ## train the network (ARGS="--help" tells how)
 	@$(BIN)/pugeo train $(ARGS)
 
-bench: $(VENV)/.installed-dev ## print the figures of the README, with machine and commit
+bench: $(VENV)/.installed-dev ## print the figures of docs/performance.md, with machine and commit
 	@$(BIN)/python -m benchmarks $(ARGS)
 
+docs: $(VENV)/.installed-dev ## build the documentation into out/docs, strictly and without the internet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "out/docs/index.html; to read it: $(BIN)/python -m http.server --directory out/docs"
+
+digests: $(VENV)/.installed-dev ## record this platform's checksums of answers in tests/model/digests.json
+	@$(BIN)/python -m benchmarks.digests --record
+
 openapi: $(VENV)/.installed-dev ## write the API's description into docs/openapi.json
-	@$(BIN)/python -m pugeo_service.openapi > docs/openapi.new
+	@$(BIN)/python -m pugeo_service.http.openapi > docs/openapi.new
 	@mv docs/openapi.new docs/openapi.json
 
 reliability-load: $(VENV)/.installed-dev ## 64 clients for 5 minutes (ARGS="--seconds 30 --cores 0,1")

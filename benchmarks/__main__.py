@@ -13,7 +13,7 @@ from benchmarks.case import ALL, QUICK, Case, Figures
 from benchmarks.machine import describe
 from benchmarks.one_core import environment, pin
 from benchmarks.report import report
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 
 
 def main() -> None:
@@ -26,7 +26,7 @@ def main() -> None:
     core = pin(options.core)
     try:
         machine = describe(core, options.model)
-    except BadOption as error:
+    except BadOptionError as error:
         parser.error(error.message)
     cases = [replace(case, model=options.model) for case in (QUICK if options.quick else ALL)]
     print(report(machine, [_measured(case) for case in cases]))

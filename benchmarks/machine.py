@@ -25,7 +25,7 @@ def describe(core: int | None, model: str = "standard") -> list[tuple[str, str]]
         model: name or path of the weights.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     card = read_card(model)
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())

@@ -21,10 +21,10 @@ from benchmarks.case import Work
 from pugeo_model import Cloud
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.network.model import Model
-from pugeo_model.network.neighbourhoods import Neighbourhoods, Round, gather
+from pugeo_model.network.neighbourhoods import MessageRound, Neighbourhoods, stack_patches
 from pugeo_model.network.precision import bfloat16_pays
 from pugeo_model.options import Options
-from pugeo_model.pipeline import prepare, survey
+from pugeo_model.pipeline import make_plan, prepare
 
 __all__ = ["work"]
 
@@ -75,7 +75,7 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
         cloud: the input.
         ratio: output points an input point; decides how many candidates a chart proposes.
     """
-    plan = survey(cloud, Options(ratio))
+    plan = make_plan(cloud, Options(ratio))
     charts, flops, traffic = 0, 0, _Traffic()
     for tile in plan.tiles:
         job = prepare(tile)
@@ -98,7 +98,7 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
 
 
 def _forward(model: Model, patch: Patch, candidates: int) -> Callable[[], object]:
-    hoods = _needed(gather([patch]), patch)
+    hoods = _needed(stack_patches([patch]), patch)
     quadric = torch.from_numpy(patch.frames.quadric[: patch.core])
     return lambda: model.net(hoods, quadric, candidates)
 
@@ -107,7 +107,7 @@ def _needed(hoods: Neighbourhoods, patch: Patch) -> Neighbourhoods:
     """The inputs of a patch without the rows that fill it up."""
     first, *others = (*patch.rings, patch.core)
     rounds = tuple(
-        Round(each.rows[:count], each.sources[:, :count], each.pose[:, :count])
+        MessageRound(each.rows[:count], each.sources[:, :count], each.pose[:, :count])
         for each, count in zip(hoods.rounds, others, strict=True)
     )
     return Neighbourhoods(hoods.edges[:, :first], hoods.scalars[:first], rounds)

@@ -20,7 +20,7 @@ from benchmarks.machine import describe, peak_bytes
 from benchmarks.one_core import environment, pin
 from benchmarks.report import table
 from pugeo_model import Cloud
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.formats import read, write
 from pugeo_model.upsampler import Upsampler
 
@@ -43,7 +43,7 @@ def main() -> None:
         return
     try:
         machine = describe(pin(options.core), options.model)
-    except BadOption as error:
+    except BadOptionError as error:
         parser.error(error.message)
     print("\n".join(table(("", ""), machine)), end="\n\n")
     found, rows = [], []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.merge.elimination import eliminate, reach_of_share
+from pugeo_model.resample.elimination import eliminate, packing_radius
 
 __all__ = ["distances", "normals", "sample", "spiral"]
 
@@ -61,7 +61,7 @@ def sample(count: int, seed: int = 0) -> Floats:
     """
     rng = np.random.default_rng(seed)
     candidates = _uniform(_CANDIDATES * count, rng)
-    reach = np.full(len(candidates), reach_of_share(np.array(_area() / count)))
+    reach = np.full(len(candidates), packing_radius(np.array(_area() / count)))
     far, rows = cKDTree(candidates).query(candidates, _CROWD, distance_upper_bound=reach[0])
     crowd = np.where(np.isfinite(far), rows, -1)[:, 1:].astype(np.int32)  # the first is itself
     return candidates[eliminate(candidates, crowd, reach, count)]

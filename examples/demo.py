@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_client import Client, Meta, PugeoError, Result
-from pugeo_model.render import BACKGROUND, Camera, splat
+from pugeo_model.kernel_cache import compile_kernels
+from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 
 HERE = Path(__file__).parent
-START_SECONDS = 180.0  # the very first start compiles the geometry kernels
+START_SECONDS = 180.0
 STOP_SECONDS = 60.0
 LONGEST_LINE = 500
 
@@ -36,6 +37,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
 
+    compile_kernels(lambda sentence: print(sentence, flush=True))
     print("starting the service ...", flush=True)
     with running_service() as url, Client(url) as client:
         print(f"sending {options.cloud} to {url}/upsample?R={options.ratio:g} ...", flush=True)

@@ -4,7 +4,7 @@
     python examples/make_examples.py
 
 Both have what upsampling is judged by: curvature that changes, sharp edges, and sheets that pass
-close by each other. They carry colours and no normals, as a scan does.
+close by each other. They transfer_attributes colours and no normals, as a scan does.
 """
 
 from pathlib import Path

@@ -102,6 +102,12 @@ def test_what_an_import_brings_along(root: Path, imports: str, banned: set[str])
     assert not banned & set(run(f"import {imports}; print(*sys.modules)", root).split())
 
 
+def test_options_are_light(root: Path) -> None:
+    """Importing the options loads neither torch nor numba nor scipy."""
+    heavy = {"torch", "numba", "scipy"}
+    assert not heavy & set(run("import pugeo_model.options; print(*sys.modules)", root).split())
+
+
 def test_torch_has_its_homes(root: Path) -> None:
     """Only the network, its training and its weights import torch, at the top or within."""
     strangers = []
@@ -270,7 +276,7 @@ def test_the_health_check_of_the_image(root: Path) -> None:
 
 def test_dashboards_and_alerts_know_the_metrics(root: Path) -> None:
     """Each metric that a panel or an alert names is one that the service tells."""
-    from pugeo_service.telemetry import Readings, Telemetry
+    from pugeo_service.observability.telemetry import Readings, Telemetry
 
     card = {"name": "standard", "version": "1", "sha256": "0"}
     telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1", card)

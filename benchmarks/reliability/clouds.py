@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pugeo_client._result import Meta, Result
-from pugeo_client.errors import BadAnswer
+from pugeo_client.errors import InvalidResponseError
 from pugeo_model import Cloud, formats
 
 __all__ = ["REACH", "Ask", "Book", "ask"]
@@ -94,7 +94,7 @@ class Book:
         result = Result(Meta(), format="ply", data=answer)
         try:
             points, normals = result.points.astype(np.float64), result.normals
-        except BadAnswer as error:
+        except InvalidResponseError as error:
             return f"no PLY: {error}"
         if len(points) != asked.points_out:
             return f"{len(points):,} points, not {asked.points_out:,}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Python client of a pugeo service: give it a point cloud, get a denser one.
+"""Python client of a pugeo service for point cloud upsampling.
 
     import pugeo_client
 
@@ -7,8 +7,7 @@
     dense.points, dense.normals                          # numpy arrays
     dense.save("dense.ply")
 
-Needs numpy and an HTTP library; both are loaded when first used, so that importing this package
-costs next to nothing.
+Numpy and the HTTP library are loaded when first used, so that the import of this package is fast.
 """
 
 import importlib
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
     from pugeo_client import errors
     from pugeo_client._aclient import AsyncClient
     from pugeo_client._client import Client, upsample
+    from pugeo_client._requests import Options
     from pugeo_client._result import Meta, Result
-    from pugeo_client._wire import Options
     from pugeo_client.errors import PugeoError
     from pugeo_client.jobs import AsyncJob, Job
 
@@ -39,13 +38,13 @@ __all__ = [
     "upsample",
 ]
 
-_HOMES = {
+_MODULES = {
     "AsyncClient": "_aclient",
     "AsyncJob": "jobs",
     "Client": "_client",
     "Job": "jobs",
     "Meta": "_result",
-    "Options": "_wire",
+    "Options": "_requests",
     "PugeoError": "errors",
     "Result": "_result",
     "upsample": "_client",
@@ -55,9 +54,9 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     if name == "errors":
         return importlib.import_module("pugeo_client.errors")
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'pugeo_client' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"pugeo_client.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"pugeo_client.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -1,32 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The client that waits."""
+"""Blocking client."""
 
+import contextlib
 import os
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self, Unpack
 
-from pugeo_client import _wire
-from pugeo_client._attempts import Attempts, Progress
+from pugeo_client import _blocking_io
+from pugeo_client._attempts import Progress
+from pugeo_client._batch import OutputFolder, map_in_threads, with_source
+from pugeo_client._connection import Connection
 from pugeo_client._http import httpx
-from pugeo_client._job import job_request, list_request, submission
+from pugeo_client._job_record import next_cursor
+from pugeo_client._receivers import CloudReceiver
+from pugeo_client._requests import (
+    Options,
+    Request,
+    format_of,
+    job_request,
+    list_request,
+    submit_request,
+    upsample_request,
+)
+from pugeo_client._responses import read_cards
 from pugeo_client._result import Result
-from pugeo_client._sink import Sink
+from pugeo_client._retry import worth_a_job
 from pugeo_client._source import Source
-from pugeo_client._wire import Options, Request
-from pugeo_client.errors import PugeoError, status_error
+from pugeo_client.errors import PugeoError, ServerDeadlineError, StatusError
 from pugeo_client.jobs import Job
 
 __all__ = ["Client", "upsample"]
 
+_CANCEL_S = 5.0
+
 
 class Client:
-    """A connection to a pugeo service. Make one and keep it: it reuses its sockets.
+    """Client of a pugeo service. Make one and keep it: it reuses its connections.
 
-    Safe to share between threads.
+    May be shared between threads, and used in forked processes.
 
     Example:
         >>> with Client("http://127.0.0.1:8000") as client:  # doctest: +SKIP
@@ -34,12 +47,15 @@ class Client:
         ...     dense.save("dense.ply")
 
     Args:
-        base_url: address of the service; ``PUGEO_URL`` or this machine's port 8000 by default.
+        base_url: address of the service; ``PUGEO_URL`` or port 8000 of this machine by default.
         api_key: sent as a bearer token; ``PUGEO_API_KEY`` by default.
-        timeout: seconds for a whole call, retries and the waits between them included.
-        max_retries: tries after failures that may pass; 0 for none. A service that is full and
-            says when to come again (429, 503) is no failure: it is asked until ``timeout``.
-        http_client: your own HTTP client (proxies, certificates, pools); you close it.
+        timeout: seconds for a whole call, including retries and the waits between them.
+        max_retries: retries after transient failures; 0 for none. Overload of the service (429
+            or 503 with ``Retry-After``) does not count and is retried until ``timeout``.
+        http_client: an HTTP client of your own (proxies, certificates, pools); you close it.
+
+    Raises:
+        ConfigurationError: the address, the key, a proxy or a certificate cannot be used.
     """
 
     def __init__(
@@ -51,17 +67,33 @@ class Client:
         max_retries: int = 3,
         http_client: "httpx.Client | None" = None,
     ) -> None:
-        self.base_url = _wire.base_url(base_url)
-        self.timeout = timeout
-        self.max_retries = max_retries
-        self._headers = _wire.base_headers(api_key)
-        self._own = http_client is None
-        self._http = http_client or httpx.Client()
+        self._connection = Connection(
+            base_url,
+            api_key=api_key,
+            timeout=timeout,
+            max_retries=max_retries,
+            http_client=http_client,
+        )
+
+    @property
+    def base_url(self) -> str:
+        """Address of the service."""
+        return self._connection.base_url
+
+    @property
+    def timeout(self) -> float:
+        """Seconds for a whole call."""
+        return self._connection.timeout
+
+    @property
+    def max_retries(self) -> int:
+        """Retries after transient failures."""
+        return self._connection.max_retries
 
     def upsample(
         self,
         src: Source,
-        ratio: float = 4,
+        ratio: float | None = None,
         *,
         out: str | os.PathLike[str] | None = None,
         format: str | None = None,
@@ -69,66 +101,124 @@ class Client:
         on_progress: Progress | None = None,
         **options: Unpack[Options],
     ) -> Result:
-        """Make a cloud denser.
+        """Upsample a point cloud.
+
+        A cloud that the service cannot finish within its own time limit is submitted as a job,
+        if ``timeout`` is longer than that limit.
 
         Args:
             src: a path, bytes or an open binary file of PLY, NPZ, NPY, JSON or XYZ; an ``(N, 3)``
-                or ``(N, 6)`` array (columns 4 to 6 are normals); or a dict of arrays ``points``,
-                ``normals``, ``colors``, ``scalars``. Files are streamed, never held in memory.
-            ratio: how many times as many points, any number from 1 to 32.
-            out: file to stream the answer to; it appears when it is complete.
-            format: of ``out``: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``; by its
-                extension by default.
-            timeout: seconds for this call; the client's own by default.
-            on_progress: called with a stage (``"send"``, ``"receive"``), bytes done, bytes in all.
-            **options: ``n_points`` (exactly so many, instead of ``ratio``), ``orient``,
-                ``viewpoint``, ``seed``, ``keep_input``; see `Options`.
+                or ``(N, 6)`` array, list or torch tensor (columns 4 to 6 are normals); an Open3D
+                cloud; or a dict of arrays ``points``, ``normals``, ``colors``, ``scalars``. Files
+                are streamed, never held in memory.
+            ratio: output points per input point, any number from 1 to 32; 4 by default.
+            out: output file; it is written atomically.
+            format: ``ply``, ``ply-ascii``, ``npz``, ``npy``, ``json``, ``xyz``; by default that
+                of the extension of ``out``, or ``ply``.
+            timeout: seconds for this call; that of the client by default.
+            on_progress: called with a stage (``"send"``, ``"receive"``), bytes done, bytes in
+                total.
+            **options: ``R`` (the same as ``ratio``), ``n_points``, ``orient``, ``viewpoint``,
+                ``seed``, ``keep_input``; see `Options`.
 
         Returns:
-            The dense cloud, with what the service said about it.
+            The dense cloud and its description.
 
         Raises:
-            SourceError: ``src`` cannot be sent.
+            SourceError: ``src`` or an option cannot be sent.
             StatusError: the service refused; see `pugeo_client.errors` for its kinds.
-            ConnectionFailed: no answer, or none within ``timeout`` (``DeadlineExceeded``).
+            ConnectionFailedError: no answer, or none in time (``DeadlineExceededError``).
+            InvalidResponseError: the answer is not the promised cloud; ``out`` is unchanged.
+            OSError: ``src`` cannot be read, or ``out`` cannot be written.
         """
         target = None if out is None else Path(out)
-        answer = format if format and target else _wire.default_format(target)
-        request = _wire.upsample_request(src, ratio, answer, **options)
-        sink = Sink(format=answer, out=target)
-        return self._call(request, sink, timeout=timeout, on_progress=on_progress)
+        written = format or format_of(target)
+        request = upsample_request(src, ratio, written, **options)
+        receiver = CloudReceiver(format=written, out=target)
+        end = time.monotonic() + (self._connection.timeout if timeout is None else timeout)
+        try:
+            return self._connection.call(
+                request, receiver, timeout=timeout, on_progress=on_progress
+            )
+        except ServerDeadlineError as failure:
+            if not request.sendable or not worth_a_job(failure, end - time.monotonic()):
+                raise
+            return self._upsample_as_job(request, receiver, failure, end, on_progress)
+
+    def _upsample_as_job(
+        self,
+        request: Request,
+        receiver: CloudReceiver,
+        failure: ServerDeadlineError,
+        end: float,
+        on_progress: Progress | None,
+    ) -> Result:
+        try:
+            job = self._submit(request, None, end - time.monotonic(), on_progress)
+        except StatusError as refusal:
+            raise failure from refusal
+        try:
+            job.wait(end - time.monotonic(), on_progress)
+            return self._connection.call(
+                job.request("GET", "/result"),
+                receiver,
+                timeout=end - time.monotonic(),
+                on_progress=on_progress,
+            )
+        except BaseException:
+            # Nobody knows its id: without this the service would work for nobody.
+            with _blocking_io.interruptible(None), contextlib.suppress(PugeoError):
+                job.cancel(timeout=_CANCEL_S)
+            raise
 
     def map(
-        self, sources: Iterable[Source], ratio: float = 4, *, concurrency: int = 4, **options: Any
-    ) -> Iterator[Result]:
-        """Make many clouds denser, a few at a time, and give the results in order.
+        self,
+        sources: Iterable[Source],
+        ratio: float | None = None,
+        *,
+        concurrency: int = 4,
+        out: str | os.PathLike[str] | None = None,
+        format: str | None = None,
+        **options: Any,
+    ) -> Iterator[Result | PugeoError | OSError]:
+        """Upsample many clouds, a few at a time, and yield the results in order.
 
-        At most ``concurrency`` results wait to be taken, so that memory stays bounded. A cloud
-        that fails raises when its turn comes; the calls that already run still end.
+        At most ``concurrency`` results wait to be taken, so that memory stays bounded. The error
+        of a cloud is yielded in its place, and the others go on. Leaving the loop, or Ctrl-C,
+        interrupts the calls that still run.
+
+        Example:
+            >>> for dense in client.map(paths, 4, out="dense"):  # doctest: +SKIP
+            ...     if isinstance(dense, Exception):
+            ...         print(dense, dense.__notes__)
 
         Args:
-            sources: any number of what `upsample` takes.
+            sources: inputs of `upsample`.
             ratio: as in `upsample`.
-            concurrency: calls at the same time.
+            concurrency: number of calls at the same time.
+            out: folder of one output file for each source, under the name of the source.
+            format: of the output files; by default that of the source where it can be written.
             **options: as in `upsample`, the same for all.
+
+        Raises:
+            OSError: the folder cannot be made.
         """
-        with ThreadPoolExecutor(concurrency, thread_name_prefix="pugeo") as pool:
-            running: deque[Future[Result]] = deque()
+        folder = None if out is None else OutputFolder(out, format)
+
+        def call(item: tuple[int, Source]) -> Result | PugeoError | OSError:
+            number, source = item
             try:
-                for source in sources:
-                    running.append(pool.submit(self.upsample, source, ratio, **options))
-                    if len(running) >= concurrency:
-                        yield running.popleft().result()
-                while running:
-                    yield running.popleft().result()
-            finally:
-                for waiting in running:
-                    waiting.cancel()
+                file = None if folder is None else folder.path_for(number, source)
+                return self.upsample(source, ratio, out=file, format=format, **options)
+            except (PugeoError, OSError) as error:
+                return with_source(error, number, source)
+
+        return map_in_threads(call, enumerate(sources), concurrency)
 
     def submit(
         self,
         src: Source,
-        ratio: float = 4,
+        ratio: float | None = None,
         *,
         format: str = "ply",
         idempotency_key: str | None = None,
@@ -136,62 +226,68 @@ class Client:
         on_progress: Progress | None = None,
         **options: Unpack[Options],
     ) -> Job:
-        """Hand a cloud over to be made denser later, also across restarts of the service.
+        """Submit a cloud as a job, which survives restarts of the service.
 
-        Returns as soon as the service has the cloud safely on its disk.
+        Returns as soon as the service has stored the cloud on its disk.
 
         Args:
-            src: as in `upsample`, like the other options that are not explained here.
-            ratio: how many times as many points.
-            format: of the result: ``ply``, ``ply-ascii``, ``npz``, ``json``, ``xyz``.
-            idempotency_key: your own name of this job: submitting the same again under it gives
-                the same job, also from another process. By default a new one for each call.
-            timeout: seconds to hand it over; the client's own by default.
-            on_progress: called with ``"send"``, bytes done, bytes in all.
+            src: as in `upsample`, like the options that are not explained here.
+            ratio: output points per input point.
+            format: of the result: ``ply``, ``ply-ascii``, ``npz``, ``npy``, ``json``, ``xyz``.
+            idempotency_key: name of the job: submitting the same again under it returns the same
+                job, also from another process. By default a random one for each call.
+            timeout: seconds for the submission; that of the client by default.
+            on_progress: called with ``"send"``, bytes done, bytes in total.
             **options: as in `upsample`.
 
         Raises:
-            Unprocessable: the key was used for another cloud or other options.
+            UnprocessableError: the key was used for another cloud or other options.
             PugeoError: as `upsample`.
         """
-        request = _wire.upsample_request(src, ratio, format, **options)
-        answer = self._call(
-            submission(request, idempotency_key),
-            Sink(format="json", out=None),
-            timeout=timeout,
-            on_progress=on_progress,
+        request = upsample_request(src, ratio, format, **options)
+        return self._submit(request, idempotency_key, timeout, on_progress)
+
+    def _submit(
+        self,
+        upsample: Request,
+        key: str | None,
+        timeout: float | None,
+        on_progress: Progress | None,
+    ) -> Job:
+        return Job(
+            self._connection,
+            self._connection.document(
+                submit_request(upsample, key), dict, timeout=timeout, on_progress=on_progress
+            ),
         )
-        return Job(self, _wire.read_json(answer.data))
 
     def job(self, job_id: str) -> Job:
         """Find a job by its id."""
-        return Job(self, self._json(job_request(job_id)))
+        return Job(self._connection, self._connection.document(job_request("GET", job_id), dict))
 
     def jobs(self, *, state: str | None = None) -> Iterator[Job]:
-        """Give all jobs of this API key, newest first, or those in one state."""
-        cursor = None
+        """Yield all jobs of this API key, newest first, or those in one state."""
+        cursor: str | None = None
+        seen: set[str] = set()
         while True:
-            page = self._json(list_request(state, cursor))
-            for told in page["jobs"]:
-                yield Job(self, told)
-            cursor = page["next"]
+            page = self._connection.document(list_request(state, cursor), dict)
+            cursor = next_cursor(page, seen)
+            for record in page["jobs"]:
+                yield Job(self._connection, record)
             if cursor is None:
                 return
 
     def health(self) -> dict[str, Any]:
-        """How the service is now: status, reason, version, workers, queue. Never retried."""
-        report: dict[str, Any] = self._json(Request("GET", "/health"), max_retries=0)
-        return report
+        """Return the health of the service: status, reason, version, workers, queue. No retries."""
+        return self._connection.document(Request("GET", "/health"), dict, max_retries=0)
 
     def models(self) -> list[dict[str, Any]]:
-        """The model cards: name, version, checksum, ratio range, training data, quality."""
-        cards: list[dict[str, Any]] = self._json(Request("GET", "/models"))["models"]
-        return cards
+        """Return the model cards: name, version, checksum, ratio range, training data, quality."""
+        return self._connection.document(Request("GET", "/models"), read_cards)
 
     def close(self) -> None:
-        """Close the sockets, unless the HTTP client was given."""
-        if self._own:
-            self._http.close()
+        """Close the connections, unless the HTTP client was given."""
+        self._connection.close()
 
     def __enter__(self) -> Self:
         return self
@@ -199,59 +295,8 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _json(
-        self, request: Request, *, timeout: float | None = None, max_retries: int | None = None
-    ) -> Any:
-        sink = Sink(format="json", out=None)
-        answer = self._call(request, sink, timeout=timeout, max_retries=max_retries)
-        return _wire.read_json(answer.data)
 
-    def _call(
-        self,
-        request: Request,
-        sink: Sink,
-        *,
-        timeout: float | None = None,
-        max_retries: int | None = None,
-        on_progress: Progress | None = None,
-    ) -> Result:
-        attempts = Attempts(
-            request,
-            timeout=self.timeout if timeout is None else timeout,
-            max_retries=self.max_retries if max_retries is None else max_retries,
-            on_progress=on_progress,
-        )
-        while True:
-            try:
-                return self._try(attempts, sink)
-            except PugeoError as failure:
-                delay = attempts.wait_after(failure)
-            time.sleep(delay)
-
-    def _try(self, attempts: Attempts, sink: Sink) -> Result:
-        request, body = attempts.request, attempts.request.body
-        try:
-            with self._http.stream(
-                request.method,
-                self.base_url + request.path,
-                params=request.params,
-                headers={**self._headers, **attempts.headers()},
-                content=body.chunks(attempts.meter("send")) if body else None,
-                timeout=attempts.phases(),
-            ) as response:
-                if not response.is_success:
-                    raise status_error(response.status_code, response.headers, response.read())
-                received = attempts.meter("receive", response.headers)
-                with sink.open():
-                    for chunk in response.iter_bytes():
-                        received(chunk)
-                        sink.write(chunk)
-                return sink.result(response.headers)
-        except httpx.TransportError as error:
-            raise attempts.translate(error) from error
-
-
-def upsample(src: Source, ratio: float = 4, **options: Any) -> Result:
-    """Make one cloud denser with the service at ``PUGEO_URL``; see `Client.upsample`."""
+def upsample(src: Source, ratio: float | None = None, **options: Any) -> Result:
+    """Upsample one cloud with the service at ``PUGEO_URL``; see `Client.upsample`."""
     with Client() as client:
         return client.upsample(src, ratio, **options)

@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When to try again, and how long to wait before: pure functions, no clock and no sleep."""
+"""Retry policy: pure functions, without a clock."""
 
-from pugeo_client.errors import ConnectionFailed, DeadlineExceeded, PugeoError, StatusError
+from pugeo_client.errors import (
+    ConnectionFailedError,
+    DeadlineExceededError,
+    PugeoError,
+    ServerDeadlineError,
+    StatusError,
+)
 
-__all__ = ["asked_to_come_again", "delay_before_retry", "may_succeed_later"]
+__all__ = ["delay_before_retry", "is_overload", "is_transient", "worth_a_job"]
 
 RETRIED_STATUS = frozenset({408, 425, 429, 502, 503, 504})
-RETRY_AFTER_CAP = 120.0
-"""Seconds. A service that asks for a longer wait gets none: its error is raised instead."""
-FIRST_DELAY = 0.5
-LONGEST_DELAY = 8.0
+MAX_RETRY_AFTER = 120.0
+"""Seconds. If a service asks for a longer wait, its error is raised instead."""
+FIRST_BACKOFF = 0.5  # seconds
+MAX_BACKOFF = 8.0  # seconds
+MIN_JOB_TIME = 1.0  # seconds
 
 
 def delay_before_retry(
@@ -21,40 +28,41 @@ def delay_before_retry(
     remaining: float,
     jitter: float,
 ) -> float | None:
-    """Decide whether to try again after a failure.
+    """Decide whether to retry after a failure, and after how many seconds.
 
-    A service that is full and says when to come again did not fail: it is asked again for as long
-    as there is time. In a crowd only one in many gets in at each try, whatever it did wrong.
+    Overload (see `is_overload`) does not count as a failure: it is retried until the deadline,
+    because with many clients most attempts are refused although nothing is wrong.
+    Otherwise exponential backoff with jitter.
 
     Args:
-        failure: what the attempt ended with.
-        attempt: how many retries came before, 0 after the first try.
-        failures: how many of them came after a failure, and not because the service was full.
-        max_retries: how many failures are retried; 0 for no retry at all.
-        remaining: seconds left of the call's total timeout.
-        jitter: uniform in [0, 1). Spreads clients that failed together.
+        failure: error of the last attempt.
+        attempt: retries made so far, 0 after the first attempt.
+        failures: how many of them followed a failure other than overload.
+        max_retries: limit of ``failures``; 0 turns all retries off.
+        remaining: seconds until the deadline of the call.
+        jitter: uniform in [0, 1); spreads clients that failed at the same time.
 
     Returns:
-        Seconds to wait before the next try, or None: raise the failure.
+        Seconds to wait before the next attempt, or None to raise the failure.
     """
-    if not may_succeed_later(failure) or not max_retries:
+    if not is_transient(failure) or not max_retries:
         return None
-    if failures >= max_retries and not asked_to_come_again(failure):
+    if failures >= max_retries and not is_overload(failure):
         return None
-    backoff = min(FIRST_DELAY * 2.0**attempt, LONGEST_DELAY)
+    backoff = min(FIRST_BACKOFF * 2.0 ** min(attempt, 60), MAX_BACKOFF)
     asked = failure.retry_after if isinstance(failure, StatusError) else None
     if asked is None:
         delay = backoff * (0.5 + 0.5 * jitter)
-    elif asked > RETRY_AFTER_CAP:
+    elif asked > MAX_RETRY_AFTER:
         return None
     else:
-        # Never earlier than asked, and the later the more often it was in vain.
+        # Never earlier than the service asked.
         delay = asked + backoff * jitter
     return delay if delay < remaining else None
 
 
-def asked_to_come_again(failure: PugeoError) -> bool:
-    """Whether the service is full, for everybody or for this client, and says until when."""
+def is_overload(failure: PugeoError) -> bool:
+    """Tell whether the service is full and named a time to come back (429 or 503)."""
     return (
         isinstance(failure, StatusError)
         and failure.status in (429, 503)
@@ -62,8 +70,25 @@ def asked_to_come_again(failure: PugeoError) -> bool:
     )
 
 
-def may_succeed_later(failure: PugeoError) -> bool:
-    """Whether the same request may succeed at another time."""
+def is_transient(failure: PugeoError) -> bool:
+    """Tell whether the same request may succeed later."""
     if isinstance(failure, StatusError):
         return failure.status in RETRIED_STATUS and failure.retryable is not False
-    return isinstance(failure, ConnectionFailed) and not isinstance(failure, DeadlineExceeded)
+    return isinstance(failure, ConnectionFailedError) and not isinstance(
+        failure, DeadlineExceededError
+    )
+
+
+def worth_a_job(failure: ServerDeadlineError, remaining: float) -> bool:
+    """Tell whether a job may finish a cloud that took too long for one request.
+
+    Args:
+        failure: answer to the request.
+        remaining: seconds until the deadline of the call.
+
+    Returns:
+        False where the deadline of the call itself is what leaves too little time.
+    """
+    left = failure.fields.get("seconds_left", 0.0)  # that the service had for the cloud
+    allowed = left if isinstance(left, (int, float)) else 0.0
+    return remaining > allowed + MIN_JOB_TIME

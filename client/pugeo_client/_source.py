@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a caller hands over, as bytes to send: files verbatim, arrays as NPZ."""
+"""Input of a request as bytes to send: files unchanged, arrays as NPZ."""
 
 import asyncio
 import contextlib
 import io
 import os
+import stat
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from pugeo_client._arrays import pack_npz, to_cloud_arrays
 from pugeo_client.errors import SourceError
 
-__all__ = ["Body", "Source", "body_of"]
+__all__ = ["Body", "Source", "make_body"]
 
 Source: TypeAlias = (
     str
@@ -24,11 +25,13 @@ Source: TypeAlias = (
     | bytearray
     | memoryview
     | BinaryIO
-    | NDArray[Any]
+    | ArrayLike
     | Mapping[str, Any]
+    | Any
 )
-"""A path, the bytes of a file, an open binary file, an ``(N, 3)`` or ``(N, 6)`` array (columns 4
-to 6 are normals), or a dict of arrays: ``points``, ``normals``, ``colors``, ``scalars``."""
+"""A path, the bytes of a file, an open binary file; an ``(N, 3)`` or ``(N, 6)`` array, list or
+torch tensor (columns 4 to 6 are normals); an Open3D point cloud; or a dict of arrays: ``points``,
+``normals``, ``colors``, ``scalars`` (itself a dict)."""
 
 CHUNK = 1 << 18
 _MEDIA_TYPES = {
@@ -39,16 +42,21 @@ _MEDIA_TYPES = {
     ".xyz": "text/plain",
     ".txt": "text/plain",
 }
-_UNKNOWN = "application/octet-stream"  # the service looks at the first bytes
-_XYZ = 3
+_UNKNOWN = "application/octet-stream"  # the service detects the format by the content
 
 
 class Body:
-    """The bytes of one request, readable once more for each retry where that is possible.
+    """Body of a request, read again for each retry where that is possible.
+
+    Args:
+        start: opens the content at its beginning.
+        media_type: for Content-Type.
+        length: total in bytes, or None for a pipe.
+        replayable: whether ``start`` may be called again.
 
     Attributes:
-        media_type: for Content-Type.
-        length: bytes in all, or None where only reading on would tell.
+        media_type: as above.
+        length: as above.
     """
 
     def __init__(
@@ -67,53 +75,52 @@ class Body:
 
     @property
     def sendable(self) -> bool:
-        """Whether `chunks` would still give the whole: false for a pipe that was read from."""
+        """True while `chunks` yields the whole content (again); false once a pipe was read."""
         return self._replayable or not self._begun
 
-    def chunks(self, seen: Callable[[bytes], None]) -> Iterator[bytes]:
-        """Give the bytes from the beginning, without ever holding more than a chunk.
+    def chunks(self, count: Callable[[bytes], None]) -> Iterator[bytes]:
+        """Yield the content from its beginning; only one chunk is in memory.
 
         Args:
-            seen: called with each chunk before it is given; may raise to stop.
+            count: called with each chunk before it is yielded; may raise to stop.
         """
         self._begun = True
         with self._start() as file:
             while chunk := file.read(CHUNK):
-                seen(chunk)
+                count(chunk)
                 yield chunk
 
-    async def achunks(self, seen: Callable[[bytes], None]) -> AsyncIterator[bytes]:
-        """As `chunks`; a slow disk does not hold up the event loop."""
+    async def achunks(self, count: Callable[[bytes], None]) -> AsyncIterator[bytes]:
+        """As `chunks`, read in a thread, so that a slow disk does not block the event loop."""
         self._begun = True
         with self._start() as file:
             while chunk := await asyncio.to_thread(file.read, CHUNK):
-                seen(chunk)
+                count(chunk)
                 yield chunk
 
 
-def body_of(source: Source) -> Body:
-    """Prepare whatever was handed over for sending.
+def make_body(source: Source) -> Body:
+    """Prepare an input for sending.
 
     Raises:
-        SourceError: it is nothing of what `Source` lists, or arrays of the wrong shape.
+        SourceError: it is nothing that `Source` lists, or arrays of the wrong shape or type.
         OSError: the path cannot be read.
     """
     if isinstance(source, (str, os.PathLike)):
         path = Path(source)
-        length = path.stat().st_size
-        return Body(lambda: path.open("rb"), media_type=_media_type(path.name), length=length)
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise SourceError(f"{path} is a folder; give its files to map()")
+        if not stat.S_ISREG(status.st_mode):  # a pipe has no length and is read once
+            return Body(lambda: path.open("rb"), media_type=_UNKNOWN, length=None, replayable=False)
+        return Body(
+            lambda: path.open("rb"), media_type=_media_type(path.name), length=status.st_size
+        )
     if isinstance(source, (bytes, bytearray, memoryview)):
         return _in_memory(bytes(source), _UNKNOWN)
-    if isinstance(source, np.ndarray):
-        return _in_memory(_npz(_split(source)), _MEDIA_TYPES[".npz"])
-    if isinstance(source, Mapping):
-        return _in_memory(_npz(source), _MEDIA_TYPES[".npz"])
     if hasattr(source, "read"):
         return _open_file(source)
-    raise SourceError(
-        f"cannot send a {type(source).__name__}: give a path, bytes, an open binary file, "
-        "an (N, 3) or (N, 6) array, or a dict with points"
-    )
+    return _in_memory(pack_npz(to_cloud_arrays(source)), _MEDIA_TYPES[".npz"])
 
 
 def _in_memory(data: bytes, media_type: str) -> Body:
@@ -122,8 +129,8 @@ def _in_memory(data: bytes, media_type: str) -> Body:
     )
 
 
-def _open_file(file: BinaryIO) -> Body:
-    """Send from where the file stands now; the caller's file is left open."""
+def _open_file(file: Any) -> Body:
+    """Send a file from its present position; it stays open."""
     if isinstance(file, io.TextIOBase):
         raise SourceError("the file is open in text mode; open it with 'rb'")
     name = getattr(file, "name", "")
@@ -148,40 +155,3 @@ def _open_file(file: BinaryIO) -> Body:
 
 def _media_type(name: str) -> str:
     return _MEDIA_TYPES.get(Path(name).suffix.lower(), _UNKNOWN)
-
-
-def _split(array: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    if array.ndim == 2 and array.shape[1] == 2 * _XYZ:
-        return {"points": array[:, :_XYZ], "normals": array[:, _XYZ:]}
-    return {"points": array}
-
-
-def _npz(arrays: Mapping[str, Any]) -> bytes:
-    """Pack arrays as the service's own NPZ layout, checking only what it could not explain."""
-    unknown = set(arrays) - {"points", "normals", "colors", "scalars"}
-    if unknown or arrays.get("points") is None:
-        raise SourceError(
-            f"a dict of arrays has points, normals, colors, scalars; this one has {sorted(arrays)}"
-        )
-    scalars = arrays.get("scalars") or {}
-    named = {
-        name: np.asarray(arrays[name])
-        for name in ("points", "normals", "colors")
-        if arrays.get(name) is not None
-    }
-    points = named["points"]
-    if points.ndim != 2 or points.shape[1] != _XYZ:
-        raise SourceError(f"points must be (N, 3) or (N, 6), not {points.shape}")
-    if clashing := {"points", "normals", "colors"} & set(scalars):
-        raise SourceError(f"scalars cannot be called {', '.join(sorted(clashing))}")
-    named |= {name: np.asarray(values) for name, values in scalars.items()}
-    for name, array in named.items():
-        if array.dtype.kind not in "fiub" or array.shape[:1] != points.shape[:1]:
-            raise SourceError(
-                f"{name} must be {len(points)} rows of numbers, not {array.dtype} {array.shape}"
-            )
-    if points.dtype not in (np.float32, np.float64):
-        named["points"] = points.astype(np.float64)
-    packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **named)  # type: ignore[arg-type, unused-ignore]
-    return packed.getvalue()

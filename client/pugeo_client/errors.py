@@ -1,74 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong, as a tree to catch from.
+"""The errors of this package, as a tree to catch from.
 
 PugeoError
-|- SourceError               what was handed over cannot be sent (also a ValueError)
-|- ConnectionFailed          no answer: refused, reset, unknown host
-|  `- DeadlineExceeded       the call's own `timeout` ran out (also a TimeoutError)
-|- BadAnswer                 the answer is not what its headers promise
+|- SourceError               the input or an option cannot be sent (also a ValueError)
+|- ConfigurationError        unusable address, API key, proxy or certificate (also a ValueError)
+|- ConnectionFailedError     no answer: refused, reset, unknown host
+|  `- DeadlineExceededError  the `timeout` of the call ran out (also a TimeoutError)
+|- InvalidResponseError      the answer is not what its headers promise
 `- StatusError               the service answered with an error (problem+json)
-   |- BadRequest        400  the file breaks its own format
-   |- Unauthorized      401  missing or unknown API key
-   |- Forbidden         403
-   |- NotFound          404
-   |- NotAcceptable     406  no such answer format
-   |- Conflict          409
-   |- Gone              410  a job was cancelled, or its result is deleted
-   |- TooLarge          413  larger than a limit of the service; `fields` names it
-   |- UnsupportedFormat 415  not a point cloud format the service reads
-   |- Unprocessable     422  an option out of range, or a cloud without a surface
-   |- TooManyRequests   429  your share is used up; `retry_after` says for how long
-   `- ServerError       5xx
-      |- Unavailable    503  queue full, draining, or no worker; `retry_after` as above
-      `- ServerDeadline 504  the service's own deadline ran out
+   |- BadRequestError        400  the file breaks the rules of its own format
+   |- UnauthorizedError      401  missing or unknown API key
+   |- ForbiddenError         403  not allowed with this API key
+   |- NotFoundError          404  no such route, job or model
+   |- NotAcceptableError     406  no such output format
+   |- ConflictError          409  not possible in the present state of the job
+   |- GoneError              410  the job was cancelled, or its result is deleted
+   |- TooLargeError          413  larger than a limit of the service; `fields` names it
+   |- UnsupportedFormatError 415  not a point cloud format that the service reads
+   |- UnprocessableError     422  an option out of range, or a cloud without a surface
+   |- TooManyRequestsError   429  your share is used up; `retry_after` says for how long
+   `- ServerError            5xx
+      |- UnavailableError    503  queue full, draining, or no worker; `retry_after` as above
+      `- ServerDeadlineError 504  the time limit of the service ran out
 """
 
 import json
+import warnings
 from collections.abc import Mapping
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
 from typing import Any
 
 __all__ = [
-    "BadAnswer",
-    "BadRequest",
-    "Conflict",
-    "ConnectionFailed",
-    "DeadlineExceeded",
-    "Forbidden",
-    "Gone",
-    "NotAcceptable",
-    "NotFound",
+    "BadRequestError",
+    "ConfigurationError",
+    "ConflictError",
+    "ConnectionFailedError",
+    "DeadlineExceededError",
+    "ForbiddenError",
+    "GoneError",
+    "InvalidResponseError",
+    "NotAcceptableError",
+    "NotFoundError",
     "PugeoError",
-    "ServerDeadline",
+    "ServerDeadlineError",
     "ServerError",
     "SourceError",
     "StatusError",
-    "TooLarge",
-    "TooManyRequests",
-    "Unauthorized",
-    "Unavailable",
-    "Unprocessable",
-    "UnsupportedFormat",
+    "TooLargeError",
+    "TooManyRequestsError",
+    "UnauthorizedError",
+    "UnavailableError",
+    "UnprocessableError",
+    "UnsupportedFormatError",
 ]
 
 
 class PugeoError(Exception):
-    """Every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose."""
 
 
 class SourceError(PugeoError, ValueError):
-    """What was handed over is no point cloud that can be sent."""
+    """The input is no point cloud that can be sent, or an option has no valid value."""
 
 
-class ConnectionFailed(PugeoError):
+class ConfigurationError(PugeoError, ValueError):
+    """The address, the API key, a proxy or a certificate setting cannot be used."""
+
+
+class ConnectionFailedError(PugeoError):
     """The service gave no answer."""
 
 
-class DeadlineExceeded(ConnectionFailed, TimeoutError):
-    """The call's total ``timeout`` ran out, retries and waits between them included."""
+class DeadlineExceededError(ConnectionFailedError, TimeoutError):
+    """The ``timeout`` of the call ran out, retries and the waits between them included."""
 
 
-class BadAnswer(PugeoError):
-    """The service's answer is truncated or not of the format that its headers promise."""
+class InvalidResponseError(PugeoError):
+    """The answer is truncated, or not of the format that its headers promise."""
 
 
 class StatusError(PugeoError):
@@ -76,13 +85,13 @@ class StatusError(PugeoError):
 
     Attributes:
         status: the HTTP status.
-        code: stable slug for programs, such as ``"malformed_file"``; ``"http_500"`` where the
-            answer was no problem+json (a proxy's page).
-        detail: a sentence for people.
-        request_id: names this request in the service's log; ``None`` if it sent none.
+        code: stable identifier for programs, such as ``"malformed_file"``; ``"http_500"`` where
+            the answer was no problem+json (the error page of a proxy).
+        detail: explanation for a person.
+        request_id: id of this request in the log of the service; ``None`` if it sent none.
         retryable: whether the same request may succeed later; ``None`` if it did not say.
         retry_after: seconds the service asks to wait; ``None`` if it did not say.
-        fields: whatever else the problem carries: the field, the limit, the value met.
+        fields: further members of the problem: the parameter, its value, the limit.
     """
 
     def __init__(
@@ -107,85 +116,95 @@ class StatusError(PugeoError):
         self.fields: dict[str, Any] = dict(fields or {})
 
 
-class BadRequest(StatusError):
-    """400: the bytes break the rules of their own format."""
+class BadRequestError(StatusError):
+    """400: the file breaks the rules of its own format."""
 
 
-class Unauthorized(StatusError):
-    """401: an API key is needed, or this one is not known."""
+class UnauthorizedError(StatusError):
+    """401: an API key is missing or unknown."""
 
 
-class Forbidden(StatusError):
-    """403: not allowed with this key."""
+class ForbiddenError(StatusError):
+    """403: not allowed with this API key."""
 
 
-class NotFound(StatusError):
+class NotFoundError(StatusError):
     """404: no such route, job or model."""
 
 
-class NotAcceptable(StatusError):
-    """406: the service writes no such format."""
+class NotAcceptableError(StatusError):
+    """406: the service writes no such output format."""
 
 
-class Conflict(StatusError):
-    """409: at odds with the state of the thing asked for."""
+class ConflictError(StatusError):
+    """409: not possible in the present state of the job."""
 
 
-class Gone(StatusError):
+class GoneError(StatusError):
     """410: the job was cancelled, or its result is deleted."""
 
 
-class TooLarge(StatusError):
-    """413: larger than a stated limit of the service."""
+class TooLargeError(StatusError):
+    """413: larger than a limit of the service; ``fields`` names it."""
 
 
-class UnsupportedFormat(StatusError):
-    """415: no reader for this content."""
+class UnsupportedFormatError(StatusError):
+    """415: not a point cloud format that the service reads."""
 
 
-class Unprocessable(StatusError):
-    """422: an option out of its range, or a cloud that the method cannot treat."""
+class UnprocessableError(StatusError):
+    """422: an option out of range, or a cloud without a surface."""
 
 
-class TooManyRequests(StatusError):
-    """429: the caller's share is used up for now."""
+class TooManyRequestsError(StatusError):
+    """429: the share of this API key is used up for now."""
 
 
 class ServerError(StatusError):
-    """Any 5xx."""
+    """5xx: the service failed."""
 
 
-class Unavailable(ServerError):
-    """503: the queue is full, the service is draining, or no worker is ready."""
+class UnavailableError(ServerError):
+    """503: the queue is full, the service is shutting down, or no worker is ready."""
 
 
-class ServerDeadline(ServerError):
-    """504: the service gave up within its own deadline."""
+class ServerDeadlineError(ServerError):
+    """504: the time limit of the service ran out."""
 
 
 _BY_STATUS: dict[int, type[StatusError]] = {
-    400: BadRequest,
-    401: Unauthorized,
-    403: Forbidden,
-    404: NotFound,
-    406: NotAcceptable,
-    409: Conflict,
-    410: Gone,
-    413: TooLarge,
-    415: UnsupportedFormat,
-    422: Unprocessable,
-    429: TooManyRequests,
-    503: Unavailable,
-    504: ServerDeadline,
+    400: BadRequestError,
+    401: UnauthorizedError,
+    403: ForbiddenError,
+    404: NotFoundError,
+    406: NotAcceptableError,
+    409: ConflictError,
+    410: GoneError,
+    413: TooLargeError,
+    415: UnsupportedFormatError,
+    422: UnprocessableError,
+    429: TooManyRequestsError,
+    503: UnavailableError,
+    504: ServerDeadlineError,
 }
-_KNOWN = {"type", "title", "status", "detail", "instance", "code", "request_id", "retryable"}
-_PROXY_PAGE_CHARS = 200  # enough of a foreign error page to recognise who sent it
+_STANDARD_MEMBERS = {
+    "type",
+    "title",
+    "status",
+    "detail",
+    "instance",
+    "code",
+    "request_id",
+    "retryable",
+}
+_MAX_DATE_CHARS = 64
+_MAX_PAGE_CHARS = 200  # enough of an error page to recognise the proxy that sent it
 
 
 def status_error(status: int, headers: Mapping[str, str], body: bytes) -> StatusError:
     """Turn an error answer into the exception of its status.
 
-    Never raises: a proxy's HTML page becomes an error as well as a problem+json does.
+    Never raises: the HTML page of a proxy becomes an exception too.
 
     Args:
         status: HTTP status, 300 to 599.
@@ -194,10 +213,10 @@ def status_error(status: int, headers: Mapping[str, str], body: bytes) -> Status
     """
     try:
         parsed = json.loads(body)
-    except ValueError:
+    except (ValueError, RecursionError):
         parsed = None
     problem: dict[str, Any] = parsed if isinstance(parsed, dict) else {}
-    page = body.decode("utf-8", "replace").strip()[:_PROXY_PAGE_CHARS]
+    page = body.decode("utf-8", "replace").strip()[:_MAX_PAGE_CHARS]
     detail = problem.get("detail") or problem.get("title") or page or "no further detail"
     retryable = problem.get("retryable")
     request_id = problem.get("request_id") or headers.get("x-request-id")
@@ -208,20 +227,65 @@ def status_error(status: int, headers: Mapping[str, str], body: bytes) -> Status
         detail=str(detail),
         request_id=None if request_id is None else str(request_id),
         retryable=retryable if isinstance(retryable, bool) else None,
-        retry_after=_seconds(headers.get("retry-after")),
-        fields={name: value for name, value in problem.items() if name not in _KNOWN},
+        retry_after=_seconds(headers),
+        fields={name: value for name, value in problem.items() if name not in _STANDARD_MEMBERS},
     )
 
 
 def problem_error(problem: Mapping[str, Any]) -> StatusError:
-    """Turn a problem document that came inside of another answer into its exception."""
+    """Turn a problem document, as a failed job carries it, into its exception."""
     return status_error(int(problem["status"]), {}, json.dumps(dict(problem)).encode())
 
 
-def _seconds(retry_after: str | None) -> float | None:
-    """Read Retry-After's seconds form (the service sends no dates); anything else is None."""
+def _seconds(headers: Mapping[str, str]) -> float | None:
+    """Read Retry-After, in seconds or as an HTTP date (RFC 9110); None if it is neither.
+
+    A date counts from the ``Date`` of the answer, so that a wrong clock here does no harm.
+    """
+    value = headers.get("retry-after", "")
     try:
-        seconds = float(retry_after or "")
+        seconds = float(value)
     except ValueError:
-        return None
+        until = _date(value)
+        now = _date(headers.get("date", "")) or datetime.now(UTC)
+        return None if until is None else max(0.0, (until - now).total_seconds())
     return seconds if 0 <= seconds < float("inf") else None
+
+
+def _date(value: str) -> datetime | None:
+    try:
+        date = parsedate_to_datetime(value[:_MAX_DATE_CHARS])
+    except (ValueError, TypeError, IndexError, OverflowError):
+        return None
+    return date if date.tzinfo else date.replace(tzinfo=UTC)
+
+
+# Names of version 0.1.0.
+_RENAMED = {
+    "BadAnswer": "InvalidResponseError",
+    "BadRequest": "BadRequestError",
+    "Conflict": "ConflictError",
+    "ConnectionFailed": "ConnectionFailedError",
+    "DeadlineExceeded": "DeadlineExceededError",
+    "Forbidden": "ForbiddenError",
+    "Gone": "GoneError",
+    "NotAcceptable": "NotAcceptableError",
+    "NotFound": "NotFoundError",
+    "ServerDeadline": "ServerDeadlineError",
+    "TooLarge": "TooLargeError",
+    "TooManyRequests": "TooManyRequestsError",
+    "Unauthorized": "UnauthorizedError",
+    "Unavailable": "UnavailableError",
+    "Unprocessable": "UnprocessableError",
+    "UnsupportedFormat": "UnsupportedFormatError",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Return an error class by its former name, with a DeprecationWarning."""
+    if name not in _RENAMED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn(
+        f"pugeo_client.errors.{name} is now {_RENAMED[name]}", DeprecationWarning, stacklevel=2
+    )
+    return globals()[_RENAMED[name]]

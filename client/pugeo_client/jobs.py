@@ -1,25 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs: clouds that the service makes denser while nobody waits on the line."""
+"""Jobs: upsampling that goes on without a connection and across restarts of the service."""
 
 import asyncio
 import os
-import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from typing import Any, Self
 
+from pugeo_client import _blocking_io
+from pugeo_client._aconnection import AsyncConnection
 from pugeo_client._attempts import Progress
-from pugeo_client._job import Told, Watch
+from pugeo_client._connection import Connection
+from pugeo_client._job_record import JobRecord, PollSchedule, checked_record
 from pugeo_client._result import Result
 from pugeo_client.errors import PugeoError
-
-if TYPE_CHECKING:
-    from pugeo_client._aclient import AsyncClient
-    from pugeo_client._client import Client
 
 __all__ = ["AsyncJob", "Job"]
 
 
-class Job(Told):
+class Job(JobRecord):
     """A job of a `Client`.
 
     Example:
@@ -27,43 +26,47 @@ class Job(Told):
         >>> job.result().save("dense.ply")  # doctest: +SKIP
     """
 
-    def __init__(self, client: "Client", told: Mapping[str, Any]) -> None:
-        super().__init__(told)
-        self._client = client
+    def __init__(self, connection: Connection, record: Mapping[str, Any]) -> None:
+        super().__init__(record)
+        self._connection = connection
 
     def refresh(self, *, timeout: float | None = None) -> Self:
-        """Ask the service how it is; returns itself."""
-        self.told = self._client._json(self.request("GET"), timeout=timeout)  # noqa: SLF001
+        """Ask the service for the present state; return itself."""
+        self.record = self._connection.document(
+            self.request("GET"), checked_record, timeout=timeout
+        )
         return self
 
     def wait(self, timeout: float | None = None, on_progress: Progress | None = None) -> Self:
-        """Wait until it has succeeded; the service may be restarted meanwhile.
+        """Wait until the job has succeeded; the service may be restarted meanwhile.
 
         Args:
-            timeout: seconds; None waits as long as it takes.
-            on_progress: called with a stage, patches done, patches in all (0: unknown).
+            timeout: seconds; None waits without a limit.
+            on_progress: called with a stage, patches done, patches in total (0: unknown).
 
         Raises:
             StatusError: it failed (the error that `Client.upsample` would have raised), or was
-                cancelled or deleted (``Gone``).
-            DeadlineExceeded: it did not end within ``timeout``; it goes on.
-            ConnectionFailed: the service was gone for minutes.
+                cancelled or deleted (``GoneError``).
+            DeadlineExceededError: it did not end within ``timeout``; it goes on.
+            ConnectionFailedError: the service was unreachable for minutes.
         """
-        watch = Watch(timeout, on_progress)
+        schedule = PollSchedule(timeout, on_progress)
         while True:
             try:
-                told = self._client._json(  # noqa: SLF001
-                    self.request("GET"), timeout=watch.within(self._client.timeout), max_retries=0
+                self.record = self._connection.document(
+                    self.request("GET"),
+                    checked_record,
+                    timeout=schedule.request_timeout(self._connection.timeout),
+                    max_retries=0,
                 )
             except PugeoError as failure:
-                watch.missed(failure)
+                schedule.tolerate(failure)
             else:
-                self.told = told
-                watch.seen(self)
+                schedule.report(self)
                 if self.finished:
                     self.check()
                     return self
-            time.sleep(watch.pause())
+            _blocking_io.wait(schedule.pause())
 
     def result(
         self,
@@ -72,62 +75,68 @@ class Job(Told):
         timeout: float | None = None,
         on_progress: Progress | None = None,
     ) -> Result:
-        """Wait until it has succeeded, and fetch the dense cloud.
+        """Wait until the job has succeeded, and download the dense cloud.
 
         Args:
-            out: file to stream it to; it appears when it is complete.
+            out: output file; it is written atomically.
             timeout: seconds to wait for the job, as in `wait`, and again for the download.
-            on_progress: as in `wait`, and then with ``"receive"``, bytes done, bytes in all.
+            on_progress: as in `wait`, and then with ``"receive"``, bytes done, bytes in total.
 
         Raises:
-            SourceError: ``out`` has the extension of another format than the job's.
+            SourceError: ``out`` has the extension of another format than the result.
             PugeoError: as `wait`.
         """
-        sink = self.sink(out)
+        receiver = self.receiver(None if out is None else Path(out))
         self.wait(timeout, on_progress)
-        return self._client._call(  # noqa: SLF001
-            self.request("GET", "/result"), sink, timeout=timeout, on_progress=on_progress
+        return self._connection.call(
+            self.request("GET", "/result"), receiver, timeout=timeout, on_progress=on_progress
         )
 
-    def cancel(self) -> Self:
-        """Cancel it; a job that has ended gives up its result instead. Twice is once."""
-        self.told = self._client._json(self.request("DELETE"))  # noqa: SLF001
+    def cancel(self, *, timeout: float | None = None) -> Self:
+        """Cancel the job, or delete its result if it has ended. Idempotent."""
+        self.record = self._connection.document(
+            self.request("DELETE"), checked_record, timeout=timeout
+        )
         return self
 
 
-class AsyncJob(Told):
+class AsyncJob(JobRecord):
     """A job of an `AsyncClient`: the same as `Job`, awaited."""
 
-    def __init__(self, client: "AsyncClient", told: Mapping[str, Any]) -> None:
-        super().__init__(told)
-        self._client = client
+    def __init__(self, connection: AsyncConnection, record: Mapping[str, Any]) -> None:
+        super().__init__(record)
+        self._connection = connection
 
     async def refresh(self, *, timeout: float | None = None) -> Self:  # noqa: ASYNC109
-        """Ask the service how it is; returns itself."""
-        self.told = await self._client._json(self.request("GET"), timeout=timeout)  # noqa: SLF001
+        """Ask the service for the present state; return itself."""
+        self.record = await self._connection.document(
+            self.request("GET"), checked_record, timeout=timeout
+        )
         return self
 
     async def wait(
         self,
-        timeout: float | None = None,  # noqa: ASYNC109 - spans many calls
+        timeout: float | None = None,  # noqa: ASYNC109 - spans many requests
         on_progress: Progress | None = None,
     ) -> Self:
-        """Wait until it has succeeded; as `Job.wait`."""
-        watch = Watch(timeout, on_progress)
+        """Wait until the job has succeeded; as `Job.wait`."""
+        schedule = PollSchedule(timeout, on_progress)
         while True:
             try:
-                told = await self._client._json(  # noqa: SLF001
-                    self.request("GET"), timeout=watch.within(self._client.timeout), max_retries=0
+                self.record = await self._connection.document(
+                    self.request("GET"),
+                    checked_record,
+                    timeout=schedule.request_timeout(self._connection.timeout),
+                    max_retries=0,
                 )
             except PugeoError as failure:
-                watch.missed(failure)
+                schedule.tolerate(failure)
             else:
-                self.told = told
-                watch.seen(self)
+                schedule.report(self)
                 if self.finished:
                     self.check()
                     return self
-            await asyncio.sleep(watch.pause())
+            await asyncio.sleep(schedule.pause())
 
     async def result(
         self,
@@ -136,14 +145,16 @@ class AsyncJob(Told):
         timeout: float | None = None,  # noqa: ASYNC109 - as in `wait`
         on_progress: Progress | None = None,
     ) -> Result:
-        """Wait until it has succeeded, and fetch the dense cloud; as `Job.result`."""
-        sink = self.sink(out)
+        """Wait until the job has succeeded, and download the dense cloud; as `Job.result`."""
+        receiver = self.receiver(None if out is None else Path(out))
         await self.wait(timeout, on_progress)
-        return await self._client._call(  # noqa: SLF001
-            self.request("GET", "/result"), sink, timeout=timeout, on_progress=on_progress
+        return await self._connection.call(
+            self.request("GET", "/result"), receiver, timeout=timeout, on_progress=on_progress
         )
 
-    async def cancel(self) -> Self:
-        """Cancel it; as `Job.cancel`."""
-        self.told = await self._client._json(self.request("DELETE"))  # noqa: SLF001
+    async def cancel(self, *, timeout: float | None = None) -> Self:  # noqa: ASYNC109
+        """Cancel the job; as `Job.cancel`."""
+        self.record = await self._connection.document(
+            self.request("DELETE"), checked_record, timeout=timeout
+        )
         return self

@@ -1,23 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point cloud upsampling with PUGeo-Net's geometry. Importing this package imports no torch."""
+"""Point cloud upsampling with normals (PUGeo-Net).
 
-from pugeo_model.cloud import Cloud
-from pugeo_model.errors import (
-    BadOption,
-    CloudError,
-    LimitExceeded,
-    MalformedFile,
-    UnsupportedFormat,
-    UntreatableCloud,
-)
+    import pugeo_model as pm
+
+    cloud = pm.read("scan.ply")
+    result = pm.Upsampler()(cloud, ratio=8)
+    pm.write(result.cloud, "dense.ply")
+
+Names are imported on first use (PEP 562): importing this package loads neither torch nor numba.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from pugeo_model.kernel_cache import use_writable_folder
+
+if TYPE_CHECKING:
+    from pugeo_model.assembly import Result
+    from pugeo_model.cloud import Cloud
+    from pugeo_model.errors import (
+        BadOptionError,
+        CloudError,
+        LimitExceededError,
+        MalformedFileError,
+        UnsupportedFormatError,
+        UntreatableCloudError,
+    )
+    from pugeo_model.formats import read, write
+    from pugeo_model.options import Options
+    from pugeo_model.upsampler import Upsampler
 
 __all__ = [
-    "BadOption",
+    "BadOptionError",
     "Cloud",
     "CloudError",
-    "LimitExceeded",
-    "MalformedFile",
-    "UnsupportedFormat",
-    "UntreatableCloud",
+    "LimitExceededError",
+    "MalformedFileError",
+    "Options",
+    "Result",
+    "UnsupportedFormatError",
+    "UntreatableCloudError",
+    "Upsampler",
+    "__version__",
+    "read",
+    "write",
 ]
 __version__ = "0.1.0"
+
+# Before any module imports numba, which reads the folder of its cache only once.
+use_writable_folder()
+
+_MODULES = {
+    "BadOptionError": "errors",
+    "Cloud": "cloud",
+    "CloudError": "errors",
+    "LimitExceededError": "errors",
+    "MalformedFileError": "errors",
+    "Options": "options",
+    "Result": "assembly",
+    "UnsupportedFormatError": "errors",
+    "UntreatableCloudError": "errors",
+    "Upsampler": "upsampler",
+    "read": "formats",
+    "write": "formats",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'pugeo_model' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"pugeo_model.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

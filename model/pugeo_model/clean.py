@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dropping what no surface can be fitted to, and counting it."""
+"""Cleaning of the input: non-finite points, exact duplicates and unusable normals are dropped."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,17 +11,17 @@ from pugeo_model.cloud import Cloud
 
 __all__ = ["Dropped", "clean"]
 
-# Odd constants of the splitmix64 generator: any would do that spread bits well.
-_MIX = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+# Multipliers of splitmix64 (Steele, Lea and Flood 2014), one a coordinate.
+_MULTIPLIERS = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 
 
 @dataclass(frozen=True)
 class Dropped:
-    """How many points were dropped, and why.
+    """Numbers of dropped points.
 
     Attributes:
-        non_finite: a coordinate is NaN or infinite.
-        duplicate: exactly where an earlier point is (-0.0 equals 0.0).
+        non_finite: points with a NaN or infinite coordinate.
+        duplicate: points with exactly the coordinates of an earlier point (-0.0 equals 0.0).
     """
 
     non_finite: int
@@ -29,17 +29,17 @@ class Dropped:
 
 
 def clean(cloud: Cloud) -> tuple[Cloud, Dropped]:
-    """Drop non-finite points and exact duplicates; the first of duplicates stays.
+    """Drop non-finite points and exact duplicates; the first of each set of duplicates stays.
 
-    Normals that cannot be used (one of them not finite, or all zero, as Gaussian splat files
-    have them) are left out, with a note.
+    Unusable normals (any not finite, or all zero, as in Gaussian splat files) are left out, with
+    a note.
 
     Args:
         cloud: as read.
 
     Returns:
-        The cloud, in its own order, and what was dropped. Nothing is copied where nothing is
-        dropped. Time is that of sorting ``M`` integers.
+        The cloud, in the input's order, and the numbers of dropped points. If no point is
+        dropped, no array is copied. The time is that of sorting ``M`` integers.
     """
     finite = _finite_rows(cloud.points)
     non_finite = len(cloud) - int(np.count_nonzero(finite))
@@ -61,17 +61,17 @@ def _finite_rows(rows: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _repeated_rows(points: NDArray[Any]) -> NDArray[np.intp]:
-    """Find the rows that equal an earlier one.
+    """Find the rows that equal an earlier row.
 
-    Sorting one hash for each row is ten times faster than sorting rows, and most clouds are done
-    with that. Rows are compared as what they are before one is dropped: a chance (or a
-    deliberate) collision of hashes costs time, but loses no point.
+    Sorting one 64-bit hash for each row is ten times faster than sorting rows, and enough for
+    most clouds. Rows with equal hashes are compared before one is dropped: a collision (by chance
+    or by design) costs time, but drops no point.
     """
     hashes = _hash(points)
     ordered = np.sort(hashes)
     if not (ordered[1:] == ordered[:-1]).any():
         return np.empty(0, np.intp)
-    # Stable sorts: equal rows stay in their own order, and the first one stays the first.
+    # Stable sorts keep equal rows in the input's order, so that the first is kept.
     order = np.argsort(hashes, kind="stable")
     same = np.flatnonzero(ordered[1:] == ordered[:-1])
     repeated: NDArray[np.intp] = order[same + 1]
@@ -85,8 +85,8 @@ def _repeated_rows(points: NDArray[Any]) -> NDArray[np.intp]:
 def _hash(points: NDArray[Any]) -> NDArray[np.uint64]:
     unsigned = np.dtype(f"u{points.dtype.itemsize}")
     hashes = np.zeros(len(points), np.uint64)
-    for column, factor in zip(points.T, _MIX, strict=True):
-        # Adding zero turns -0.0, which equals 0.0, into the bits of 0.0; and copies the column.
+    for column, factor in zip(points.T, _MULTIPLIERS, strict=True):
+        # Adding zero copies the column and gives -0.0 the bits of 0.0, since the two are equal.
         hashes ^= (column + column.dtype.type(0)).view(unsigned)
         hashes *= np.uint64(factor)
         hashes ^= hashes >> np.uint64(29)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `pugeo` command. Other packages add commands through the entry points `pugeo.commands`."""
+"""The command `pugeo`. Other packages add subcommands by entry points in `pugeo.commands`."""
 
 import sys
 from importlib.metadata import entry_points
@@ -71,29 +71,31 @@ def upsample(
         str, typer.Option(help="Signs of normals: auto, input, viewpoint, mst, outward, none.")
     ] = "auto",
     viewpoint: Annotated[str | None, typer.Option(help="Sensor position x,y,z.")] = None,
-    seed: Annotated[int, typer.Option(help="Another seed, another sample.")] = 0,
+    seed: Annotated[int, typer.Option(help="Each seed gives another sample.")] = 0,
     keep_input: Annotated[
-        bool, typer.Option("--keep-input", help="Keep the input points, untouched, noise and all.")
+        bool, typer.Option("--keep-input", help="Keep the input points unchanged, also noisy ones.")
     ] = False,
     model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
         "standard"
     ),
     format: Annotated[
-        str | None, typer.Option(help="ply, ply-ascii, npz, json or xyz; by suffix if left out.")
+        str | None, typer.Option(help="ply, ply-ascii, npz, json or xyz [from the suffix].")
     ] = None,
 ) -> None:
     """Write a cloud with R times as many points, each with a normal."""
     from pugeo_model.formats import FORMATS, read, write, written_as
+    from pugeo_model.kernel_cache import compile_kernels
     from pugeo_model.options import Options
     from pugeo_model.upsampler import Upsampler
 
     where = _numbers(viewpoint)
-    # What can be refused at once is refused before the work, not after it.
+    # Invalid options are an error before the work, not after it.
     Options(ratio, n_points, orient, where, seed, keep_input)
     kind = format or written_as(out)
     if kind not in FORMATS:
         raise typer.BadParameter(f"must be one of {', '.join(FORMATS)}", param_hint="--format")
     cloud = read(source)
+    compile_kernels(_console.print)
     upsampler = Upsampler(model)
     with _bar() as bar:
         task = bar.add_task("read", total=1)
@@ -157,7 +159,7 @@ def train(
     name: Annotated[str | None, typer.Option(help="Of the weights [the recipe's].")] = None,
     every: Annotated[int, typer.Option(help="Steps between checkpoints.")] = 500,
 ) -> None:
-    """Train on a folder of meshes; resumes exactly where a run in the same folder stopped."""
+    """Train on a folder of meshes; a run in the same folder is resumed exactly."""
     from dataclasses import replace
 
     from pugeo_model.training.recipes import read_recipe, with_ratio
@@ -210,7 +212,7 @@ def evaluate(
     ] = None,
     card: Annotated[bool, typer.Option(help="Write the means into the model card.")] = False,
 ) -> None:
-    """Measure points and normals on fixed samples; the limit row is the true surface's own."""
+    """Evaluate points and normals on fixed samples; the row `limit` is an ideal sample."""
     try:
         from pugeo_model.metrics.evaluation import CASES
         from pugeo_model.metrics.report import evaluate_all, require
@@ -309,7 +311,7 @@ for _entry in entry_points(group="pugeo.commands"):
     try:
         app.command(_entry.name)(_entry.load())
     except ModuleNotFoundError as _missing:
-        # `serve` without its extra: the other commands must still work.
+        # Without the extra of `serve` the other commands still work.
         _hint = f"{_entry.name} needs {_missing.name}: pip install 'pugeo[server]'"
 
         @app.command(_entry.name, help=_hint)
@@ -318,7 +320,7 @@ for _entry in entry_points(group="pugeo.commands"):
 
 
 def main() -> None:
-    """Run the command line; what is wrong with an input is one line, not a traceback."""
+    """Run the command line; an invalid input gives one line and not a traceback."""
     try:
         app()
     except CloudError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The point cloud that travels through every stage."""
+"""The point cloud: input and output of every stage."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ __all__ = ["Cloud"]
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points and what rides along with them.
+    """Points with optional normals, colours and scalars.
 
     Attributes:
         points: ``(M, 3)`` float32 or float64, cloud units, in the file's own frame and precision.
@@ -21,7 +21,7 @@ class Cloud:
         colors: ``(M, 3)`` RGB or ``(M, 4)`` RGBA uint8, or ``None``.
         scalars: name -> ``(M,)`` numeric array. Floating dtypes are continuous quantities
             (intensity, reflectance), integer dtypes are labels (class, return number).
-        notes: sentences for the user about what a reader guessed or dropped.
+        notes: sentences for the user about data that a reader guessed or dropped.
 
     Raises:
         ValueError: an array's shape or dtype is not the one stated above.
@@ -52,11 +52,11 @@ class Cloud:
 
     @classmethod
     def join(cls, clouds: "Sequence[Cloud]") -> "Cloud":
-        """All clouds as one, in their order; each carries what the first one does."""
+        """Concatenate clouds in their order; all have the same attributes as the first."""
         first = clouds[0]
 
-        def joined(of: Callable[[Cloud], Any]) -> Any:
-            return None if of(first) is None else np.concatenate([of(cloud) for cloud in clouds])
+        def joined(get: Callable[[Cloud], Any]) -> Any:
+            return None if get(first) is None else np.concatenate([get(cloud) for cloud in clouds])
 
         return cls(
             points=joined(lambda cloud: cloud.points),
@@ -70,7 +70,7 @@ class Cloud:
         )
 
     def take(self, rows: NDArray[Any]) -> "Cloud":
-        """Keep the given rows (indices or a mask), in that order, with all that rides along."""
+        """Return the given rows (indices or a mask), in that order, with their attributes."""
         return Cloud(
             points=self.points[rows],
             normals=None if self.normals is None else self.normals[rows],

@@ -1,32 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be wrong with an input.
+"""Errors of bad input: files, points and options.
 
 CloudError
-|- MalformedFile        the bytes are not what they claim to be
-|- UnsupportedFormat    no reader or writer of that name or content
-|- LimitExceeded        larger than the stated limit
-|- UntreatableCloud     a valid file whose points the method cannot treat
-`- BadOption            an option out of its range
+|- MalformedFileError        bytes that break the rules of their format
+|- UnsupportedFormatError    no reader or writer of that name or content
+|- LimitExceededError        larger than the stated limit
+|- UntreatableCloudError     a valid file with points that span no surface
+`- BadOptionError            an option out of its range
 """
 
 from typing import Any
 
 __all__ = [
-    "BadOption",
+    "BadOptionError",
     "CloudError",
-    "LimitExceeded",
-    "MalformedFile",
-    "UnsupportedFormat",
-    "UntreatableCloud",
+    "LimitExceededError",
+    "MalformedFileError",
+    "UnsupportedFormatError",
+    "UntreatableCloudError",
 ]
 
 
 class CloudError(ValueError):
-    """An input that cannot be used, with words for a person and fields for a program.
+    """Base class of all errors of bad input.
 
     Args:
-        message: one or two sentences: what is wrong, where, and what would be right.
-        code: a stable slug such as ``"truncated"``; the class's own name by default.
+        message: one or two sentences: the fault, its place, and a valid alternative.
+        code: a stable slug such as ``"truncated"``; by default that of the class.
         fields: values behind the message (``limit=1000, value=4000000000``), JSON-able.
     """
 
@@ -39,36 +39,36 @@ class CloudError(ValueError):
         self.fields = fields
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors cross process borders; keyword arguments do not survive pickle's default way.
+        # Errors are pickled between processes; the default would lose the keyword arguments.
         return _rebuild, (type(self), self.message, self.code, self.fields)
 
 
-class MalformedFile(CloudError):
+class MalformedFileError(CloudError):
     """The bytes break the rules of their own format."""
 
     code = "malformed_file"
 
 
-class UnsupportedFormat(CloudError):
+class UnsupportedFormatError(CloudError):
     """No reader or writer for this content or name."""
 
     code = "unsupported_format"
 
 
-class LimitExceeded(CloudError):
-    """Larger than a stated limit; ``fields`` name it, its bound and the value met."""
+class LimitExceededError(CloudError):
+    """Input larger than a stated limit; ``fields`` hold its name, the limit and the value."""
 
     code = "limit_exceeded"
 
 
-class UntreatableCloud(CloudError):
+class UntreatableCloudError(CloudError):
     """The file is well formed, but its points span no surface (too few, all on one line)."""
 
     code = "untreatable_cloud"
 
 
-class BadOption(CloudError):
-    """An option outside its range; ``fields`` name it."""
+class BadOptionError(CloudError):
+    """An option outside its range; ``fields`` hold its name and value."""
 
     code = "bad_option"
 

@@ -1,36 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a caller may choose."""
+"""Options of an upsampling run. Importing this module loads neither numba nor scipy."""
 
 import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from pugeo_model.errors import BadOption
-from pugeo_model.finish.orientation import METHODS
+from pugeo_model.errors import BadOptionError
+from pugeo_model.orient.methods import METHODS
 
-__all__ = ["MOST", "Options", "refuse"]
+__all__ = ["LARGEST_RATIO", "Options", "refuse"]
 
-MOST = 32.0
-"""Largest ratio."""
+LARGEST_RATIO = 32.0
+"""Largest upsampling ratio."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the caller may choose.
+    """Options of an upsampling run.
 
     Attributes:
-        ratio: output points an input point, a real number in 1..32. At 1 the input points come
-            back, with normals.
-        n_points: number of output points instead of a ratio.
-        orient: ``auto``, ``input``, ``viewpoint``, ``mst``, ``outward`` or ``none``.
-        viewpoint: sensor position in the cloud's own frame and units.
-        seed: 0..2^63-1; other seeds give other, equally even samples.
-        keep_input: the cleaned input points lead the answer, untouched and in their order, and
-            the rest is spread among them. Else noise is smoothed away, and of a clean input those
-            points stay that fit into an even spread.
+        ratio: output points per input point, a real number in 1..32. At 1 the output is the
+            input points with normals.
+        n_points: number of output points; replaces the ratio.
+        orient: method that gives normals their signs: ``auto``, ``input``, ``viewpoint``,
+            ``mst``, ``outward`` or ``none``.
+        viewpoint: sensor position ``(x, y, z)`` in the cloud's own frame and units.
+        seed: 0..2^63-1; each seed gives another, equally even sample.
+        keep_input: the output begins with the cleaned input points, unchanged and in their
+            order; new points are distributed between them. Otherwise noise is removed, and clean
+            input points are kept only where they fit into an even distribution.
 
     Raises:
-        BadOption: a value out of range; its ``fields`` name it.
+        BadOptionError: a value is out of range; its ``fields`` hold the name and the value.
     """
 
     ratio: float = 4.0
@@ -41,7 +42,7 @@ class Options:
     keep_input: bool = False
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.ratio <= MOST:
+        if not 1.0 <= self.ratio <= LARGEST_RATIO:
             refuse("ratio", self.ratio, "a number from 1 to 32", limit=[1, 32])
         if self.n_points is not None and self.n_points < 1:
             refuse("n_points", self.n_points, "a positive whole number")
@@ -55,16 +56,16 @@ class Options:
             refuse("seed", self.seed, "a whole number from 0 to 2^63 - 1")
 
     def points_out(self, count: int) -> int:
-        """Output points for ``count`` input points: exactly round(R M), halves up."""
+        """Return the number of output points for ``M`` input points: round(R M), halves up."""
         return self.n_points or math.floor(self.ratio * count + 0.5)
 
     def keeps_points(self, count: int) -> bool:
-        """Whether ``count`` input points begin the answer: asked for, or no point is new."""
+        """Return whether the output begins with the input points: by option, or at ratio 1."""
         return self.keep_input or self.points_out(count) == count
 
 
-def refuse(name: str, value: Any, wanted: str, **fields: Any) -> NoReturn:
-    """Raise a `BadOption` that says what would be right."""
-    raise BadOption(
-        f"{name} must be {wanted}, not {value!r}", parameter=name, value=value, **fields
+def refuse(name: str, value: Any, expected: str, **fields: Any) -> NoReturn:
+    """Raise a `BadOptionError` that names the option, its value and the expected range."""
+    raise BadOptionError(
+        f"{name} must be {expected}, not {value!r}", parameter=name, value=value, **fields
     )

@@ -1,52 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cloud is between the stages of its way: a plan, jobs, pieces, the result."""
+"""The plan of a run: the cleaned and normalised cloud, and its division into tiles."""
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
-from pugeo_model.finish.joining import Sides
-from pugeo_model.finish.seams import Rim
-from pugeo_model.geometry.frames import Frames
-from pugeo_model.normalise import Placement
-from pugeo_model.options import Options
-from pugeo_model.tiles import Cut, Tile
+from pugeo_model.geometry.overlapping import patch_count
+from pugeo_model.normalise import Normalisation, normalise
+from pugeo_model.options import LARGEST_RATIO, Options, refuse
+from pugeo_model.orient.methods import resolve_method
+from pugeo_model.tiles import Tile, TileSpec, plan_tiles
+from pugeo_model.tuning import TUNING
 
-__all__ = ["Agreed", "Border", "Job", "Piece", "Plan", "Result"]
-
-_OVERSAMPLE = 1.5  # candidates a point wanted
-_FEWEST_CANDIDATES = 4  # a chart: fewer would leave elimination no choice at small ratios
+__all__ = ["Plan", "make_plan"]
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A cloud that is known to be usable, and how it is cut.
+    """A validated cloud and its tiles.
 
     Attributes:
         cloud: the cleaned input.
         points: ``(M, 3)`` float64, unit scale.
-        placement: offset and scale taken out.
-        centroid: ``(3,)``, unit scale.
-        cuts: the tiles, see :mod:`pugeo_model.tiles`.
-        noise, spacing: of the whole cloud, ``None`` where the only tile finds out by itself.
-        options: as asked for.
+        normalisation: map between the cloud's own frame and the unit frame.
+        centroid: ``(3,)`` float64, unit scale.
+        tile_specs: rows and sizes of the tiles, see :mod:`pugeo_model.tiles`.
+        noise: of the whole cloud, in spacings; ``None`` if the only tile measures it itself.
+        spacing: median spacing of the whole cloud, unit scale; ``None`` likewise.
+        options: options of the caller.
         orient: the method that gives normals their signs, never ``auto``.
-        n_out: points of the answer.
-        report: what happened, JSON-able.
-        patch_ratio: R of a network that upsamples whole patches, ``None`` where charts are
-            predicted.
+        n_out: number of output points.
+        report: counts and notes so far, JSON-able.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
     """
 
     cloud: Cloud
     points: NDArray[np.float64]
-    placement: Placement
+    normalisation: Normalisation
     centroid: NDArray[np.float64]
-    cuts: list[Cut]
+    tile_specs: list[TileSpec]
     noise: float | None
     spacing: float | None
     options: Options
@@ -57,40 +55,44 @@ class Plan:
 
     @property
     def keeps_input(self) -> bool:
-        """Whether the answer begins with the input points."""
+        """True if the output begins with the input points."""
         return self.options.keeps_points(len(self.points))
 
     @property
     def tiles_in_order(self) -> bool:
-        """Whether the answer is the tiles' points one after the other."""
-        return len(self.cuts) == 1 or not self.keeps_input
+        """True if the output is the points of the tiles, one after the other."""
+        return len(self.tile_specs) == 1 or not self.keeps_input
 
-    def told(self, noise: float) -> dict[str, Any]:
-        """The report, with the noise of a cloud in one piece."""
+    def final_report(self, noise: float) -> dict[str, Any]:
+        """Complete the report with the noise level.
+
+        Args:
+            noise: measured by the first tile, used if the plan has none; in spacings.
+        """
         return {**self.report, "noise": noise if self.noise is None else self.noise}
 
     @property
     def tiles(self) -> Iterator[Tile]:
-        """The tiles, each made when its turn comes."""
-        return map(self.tile, range(len(self.cuts)))
+        """The tiles, created one at a time during iteration."""
+        return map(self.tile, range(len(self.tile_specs)))
 
     def tile(self, number: int) -> Tile:
-        """Return a tile with all that it needs on its way."""
-        cut = self.cuts[number]
-        whole = len(self.cuts) == 1
-        wanted = math.ceil(_OVERSAMPLE * self.n_out / len(self.points))
+        """Return tile ``number`` with its data."""
+        spec = self.tile_specs[number]
+        whole = len(self.tile_specs) == 1
+        wanted = math.ceil(TUNING.oversampling * self.n_out / len(self.points))
         return Tile(
-            cloud=self.cloud if whole else self.cloud.take(cut.rows),
-            points=self.points if whole else self.points[cut.rows],
-            rows=cut.rows,
-            core=cut.core,
-            charted=cut.charted,
-            n_out=cut.n_out,
-            candidates=max(_FEWEST_CANDIDATES, wanted),
+            cloud=self.cloud if whole else self.cloud.take(spec.rows),
+            points=self.points if whole else self.points[spec.rows],
+            rows=spec.rows,
+            core=spec.core,
+            charted=spec.charted,
+            n_out=spec.n_out,
+            candidates=max(TUNING.fewest_candidates, wanted),
             keeps_input=self.keeps_input,
             noise=self.noise,
             spacing=self.spacing,
-            placement=self.placement,
+            normalisation=self.normalisation,
             orient=self.orient,
             viewpoint=self.options.viewpoint,
             centroid=self.centroid,
@@ -99,97 +101,70 @@ class Plan:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
-    """A prepared tile.
+def make_plan(
+    cloud: Cloud,
+    options: Options,
+    tile_size: int | None = None,
+    patch_ratio: int | None = None,
+) -> Plan:
+    """Clean and normalise a cloud, and divide it into tiles.
 
-    Attributes:
-        tile: what it was made of.
-        cloud: its input points, rows in the order of the patches.
-        order: ``(M,)`` int32, the row of the tile that each is.
-        core: ``(M,)`` which of them are the core's.
-        points: ``(M, 3)`` float64, unit scale.
-        neighbours: ``(M, 32)`` int32, nearest first.
-        frames: one a point.
-        share: ``(M,)`` area that each stands for, see :mod:`~pugeo_model.geometry.shares`.
-        patches: the units of work: each a ``Patch``, whose cores partition the points that get
-            charts, or an overlapping ``PointPatch`` of networks that upsample whole patches.
-        noise: of the input as it came, see `noise_level`.
-        denoised: the points are where those of a noisy input landed.
+    Args:
+        cloud: the input.
+        options: options of the caller.
+        tile_size: largest number of input points in the core of a tile; by default it follows
+            from the number of output points.
+        patch_ratio: ratio R of a network that upsamples whole patches, which is the largest ratio
+            then; ``None`` if charts are predicted.
+
+    Raises:
+        UntreatableCloudError: the points left after cleaning span no surface.
+        BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` needs
+            normals that the cloud does not have.
     """
-
-    tile: Tile
-    cloud: Cloud
-    order: NDArray[np.int32]
-    core: NDArray[np.bool_]
-    points: NDArray[np.float64]
-    neighbours: NDArray[np.int32]
-    frames: Frames
-    share: NDArray[np.float64]
-    patches: list[Any]
-    noise: float
-    denoised: bool = False
-
-    @property
-    def candidates(self) -> int:
-        """Candidates a chart."""
-        return self.tile.candidates
-
-    @property
-    def nothing_new(self) -> bool:
-        """Whether the answer is the input points, with normals."""
-        return self.tile.keeps_input and self.tile.n_out == self.tile.core
-
-
-@dataclass(frozen=True, eq=False)
-class Border:
-    """What tiles have to know of each other: little, so that only it travels.
-
-    Attributes:
-        sides: what the tile knows of the signs of its normals, ``None`` where these are final.
-        rim: the points next to other tiles, ``None`` of a cloud in one piece.
-    """
-
-    sides: Sides | None
-    rim: Rim | None
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """The dense points of a tile's core.
-
-    Attributes:
-        cloud: in the cloud's own frame and units.
-        parts: ``(K,)`` connected part of the tile that each lies on; ``None`` where the normals'
-            signs are final.
-        border: what the other tiles have to know of it.
-        noise: of its input, see `noise_level`.
-        placement: of the cloud.
-    """
-
-    cloud: Cloud
-    parts: NDArray[np.integer[Any]] | None
-    border: Border
-    noise: float
-    placement: Placement
-
-
-@dataclass(frozen=True, eq=False)
-class Agreed:
-    """What a tile is told once all know of each other.
-
-    Attributes:
-        signs: of its parts, ``None`` where its normals are final.
-        rim: ``(k, 3)`` where the points of its rim lie, unit scale; ``None`` where they stay.
-    """
-
-    signs: NDArray[np.float64] | None
-    rim: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """The dense cloud and the report on its making."""
-
-    cloud: Cloud
-    report: dict[str, Any]
+    cleaned, dropped = clean(cloud)
+    points, normalisation = normalise(cleaned.points)
+    count = len(points)
+    n_out = options.points_out(count)
+    largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
+    most = largest * count
+    if not count <= n_out <= most:
+        refuse(
+            "n_points",
+            n_out,
+            f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
+            limit=[count, most],
+        )
+    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size)
+    if noise is not None and noise > TUNING.noise_threshold and not options.keeps_points(count):
+        # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
+        specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
+    has_normals = cleaned.normals is not None
+    method = resolve_method(options.orient, options.viewpoint, has_normals=has_normals)
+    report = {
+        "points_in": len(cloud),
+        "points_used": count,
+        "points_out": n_out,
+        "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
+        "patches": sum(
+            spec.patches if patch_ratio is None else patch_count(spec.charted) for spec in specs
+        ),
+        "tiles": len(specs),
+        "ratio": n_out / count,
+        "orient": method,
+        "notes": list(cleaned.notes),
+    }
+    return Plan(
+        cloud=cleaned,
+        points=points,
+        normalisation=normalisation,
+        centroid=points.mean(axis=0),
+        tile_specs=specs,
+        noise=noise,
+        spacing=median_spacing,
+        options=options,
+        orient=method,
+        n_out=n_out,
+        report=report,
+        patch_ratio=patch_ratio,
+    )

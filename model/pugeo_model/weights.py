@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Released weights: safetensors beside a JSON model card. Reading a card imports no torch."""
+"""Weights: a safetensors file beside a JSON model card. Reading a card imports no torch."""
 
 import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 
 __all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
 
@@ -14,21 +14,21 @@ _RELEASED = Path(__file__).parent / "released"
 
 
 def available() -> list[str]:
-    """Names of the weights inside the package."""
+    """Return the names of the released weights, which are part of the package."""
     return sorted(path.stem for path in _RELEASED.glob("*.safetensors"))
 
 
 def locate(name_or_path: str | Path) -> Path:
-    """Path of the ``.safetensors`` file of released or own weights.
+    """Return the path of the ``.safetensors`` file of released or own weights.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
         path = _RELEASED / f"{name_or_path}.safetensors"
     if not path.is_file():
-        raise BadOption(
+        raise BadOptionError(
             f"no weights {str(name_or_path)!r}: give one of {', '.join(available()) or 'none'}"
             " or the path of a .safetensors file with its card beside it",
             code="unknown_model",
@@ -39,10 +39,10 @@ def locate(name_or_path: str | Path) -> Path:
 
 
 def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
-    """The model card of released or own weights, with the weights' ``sha256``.
+    """Read the model card of released or own weights; adds the ``sha256`` of the weights.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     path = locate(name_or_path)
     card: dict[str, Any] = json.loads(path.with_suffix(".json").read_text("utf-8"))
@@ -51,13 +51,13 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
 
 
 def load(name_or_path: str | Path = "standard") -> Any:
-    """Rebuild the network of a card and fill in its weights.
+    """Build the network that a card describes and load its weights.
 
     Returns:
-        A ``Model`` that predicts charts, or a ``PatchModel`` that upsamples whole patches.
+        A ``Model``, which predicts charts, or a ``PatchModel``, which upsamples whole patches.
 
     Raises:
-        BadOption: no such weights.
+        BadOptionError: no such weights.
     """
     from safetensors.torch import load_file
 
@@ -73,43 +73,44 @@ def load(name_or_path: str | Path = "standard") -> Any:
 
 
 def start_from(net: Any, name_or_path: str | Path) -> None:
-    """Fill a network in with weights of its own architecture, to train on from them.
+    """Load weights into a network of the same architecture, to continue training from them.
 
     Raises:
-        BadOption: no such weights, or they are of another architecture.
+        BadOptionError: no such weights, or they have another architecture.
     """
     from safetensors.torch import load_file
 
-    made = read_card(name_or_path)["architecture"]
-    wanted = net.architecture.to_json()
-    if made != wanted:
-        raise BadOption(
-            f"{str(name_or_path)!r} has the architecture {made}, the recipe {wanted}",
+    given = read_card(name_or_path)["architecture"]
+    expected = net.architecture.to_json()
+    if given != expected:
+        raise BadOptionError(
+            f"{str(name_or_path)!r} has the architecture {given}, the recipe {expected}:"
+            " change the recipe, or start from other weights",
             value=str(name_or_path),
         )
     try:
         net.load_state_dict(load_file(locate(name_or_path)))
     except RuntimeError as error:
-        # What a message or a point tells the network is no matter of its architecture.
-        raise BadOption(
-            f"{str(name_or_path)!r} is of another version of this network: {error}",
+        # The inputs of a layer may differ between versions of one architecture.
+        raise BadOptionError(
+            f"{str(name_or_path)!r} belongs to another version of this network: {error}",
             value=str(name_or_path),
         ) from None
 
 
 def save(net: Any, card: dict[str, Any], path: Path) -> None:
-    """Write weights (float32) and card side by side.
+    """Write weights (float32) and their card side by side.
 
     Args:
         net: the network.
-        card: JSON-able; its architecture is filled in here.
+        card: JSON-able; the architecture is added.
         path: ends in ``.safetensors``.
     """
     from safetensors.torch import save_file
 
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file({name: value.contiguous() for name, value in net.state_dict().items()}, path)
-    # The library writes for the owner alone; weights inside a package are for everyone.
+    # The library writes files that only the owner can read; a package is for all users.
     path.chmod(0o644)
     card = {**card, "architecture": net.architecture.to_json()}
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n", "utf-8")

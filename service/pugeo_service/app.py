@@ -11,19 +11,21 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from pugeo_model import weights
-from pugeo_model.network.memory import give_back_freed_memory
-from pugeo_service import __version__, openapi, problems, tracing
-from pugeo_service.admission import Admission
+from pugeo_model.malloc import give_back_freed_memory
+from pugeo_service import __version__, problems
+from pugeo_service.admission.admission import Admission
+from pugeo_service.container import Service
 from pugeo_service.engine import Engine
-from pugeo_service.guard import CORS, RequireKey
+from pugeo_service.http import openapi
+from pugeo_service.http.auth import CORS, RequireKey
+from pugeo_service.http.middleware import RequestContext
 from pugeo_service.jobs import Jobs
 from pugeo_service.keys import Keys
-from pugeo_service.middleware import RequestContext
+from pugeo_service.observability import tracing
+from pugeo_service.observability.telemetry import Readings, Telemetry
 from pugeo_service.routes import docs, health, metrics, models, upsample
 from pugeo_service.routes import jobs as job_routes
 from pugeo_service.settings import Settings
-from pugeo_service.state import Service
-from pugeo_service.telemetry import Readings, Telemetry
 
 __all__ = ["create_app", "create_service"]
 
@@ -35,7 +37,7 @@ def create_service(settings: Settings) -> Service:
     """Put together what the routes share; starts nothing.
 
     Raises:
-        BadOption: there are no weights of that name.
+        BadOptionError: there are no weights of that name.
     """
     card = weights.read_card(settings.model)
     engine = Engine(settings)

@@ -12,19 +12,19 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from pugeo_model.errors import (
-    BadOption,
+    BadOptionError,
     CloudError,
-    LimitExceeded,
-    MalformedFile,
-    UnsupportedFormat,
-    UntreatableCloud,
+    LimitExceededError,
+    MalformedFileError,
+    UnsupportedFormatError,
+    UntreatableCloudError,
 )
-from pugeo_service.plain import plain_json
+from pugeo_service.http.plain_json import plain_json
 
 __all__ = [
     "MEDIA_TYPE",
     "PROBLEM_SCHEMA",
-    "Problem",
+    "ProblemError",
     "bug",
     "install",
     "internal_error",
@@ -34,11 +34,11 @@ __all__ = [
 MEDIA_TYPE = "application/problem+json"
 
 _STATUS: dict[type[CloudError], int] = {
-    MalformedFile: 400,
-    LimitExceeded: 413,
-    UnsupportedFormat: 415,
-    UntreatableCloud: 422,
-    BadOption: 422,
+    MalformedFileError: 400,
+    LimitExceededError: 413,
+    UnsupportedFormatError: 415,
+    UntreatableCloudError: 422,
+    BadOptionError: 422,
 }
 _CODE = {
     400: "bad_request",
@@ -76,7 +76,7 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-class Problem(Exception):
+class ProblemError(Exception):
     """An error with everything its answer needs.
 
     Args:
@@ -111,7 +111,7 @@ class Problem(Exception):
             self.headers["Retry-After"] = str(max(1, math.ceil(retry_after)))
 
     @classmethod
-    def from_cloud_error(cls, error: CloudError) -> "Problem":
+    def from_cloud_error(cls, error: CloudError) -> "ProblemError":
         """Give an error of the model its HTTP status."""
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
         return cls(status, error.code, error.message, fields=error.fields)
@@ -144,10 +144,10 @@ class Problem(Exception):
         )
 
 
-def bug() -> Problem:
+def bug() -> ProblemError:
     """Return what is told of an error that nobody expected: nothing but where to look."""
     detail = "An error of the service itself; its log has the cause under this request_id."
-    return Problem(500, "internal_error", detail, retryable=False)
+    return ProblemError(500, "internal_error", detail, retryable=False)
 
 
 def internal_error(scope: Mapping[str, Any]) -> Response:
@@ -158,13 +158,13 @@ def internal_error(scope: Mapping[str, Any]) -> Response:
 def install(app: FastAPI) -> None:
     """Make every error of the routes and of the framework a problem."""
 
-    @app.exception_handler(Problem)
-    async def on_problem(request: Request, error: Problem) -> Response:
+    @app.exception_handler(ProblemError)
+    async def on_problem(request: Request, error: ProblemError) -> Response:
         return error.response(request.scope)
 
     @app.exception_handler(CloudError)
     async def on_cloud_error(request: Request, error: CloudError) -> Response:
-        return Problem.from_cloud_error(error).response(request.scope)
+        return ProblemError.from_cloud_error(error).response(request.scope)
 
     @app.exception_handler(RequestValidationError)
     async def on_validation(request: Request, error: RequestValidationError) -> Response:
@@ -179,7 +179,7 @@ def install(app: FastAPI) -> None:
         elif error.status_code == 405:
             detail = f"{request.method} is not a method of {request.url.path}."
             headers["Allow"] = _allowed(app, request.scope, headers.get("Allow", ""))
-        problem = Problem(error.status_code, code, detail, headers=headers)
+        problem = ProblemError(error.status_code, code, detail, headers=headers)
         return problem.response(request.scope)
 
 
@@ -190,12 +190,12 @@ def _allowed(app: FastAPI, scope: Mapping[str, Any], found: str) -> str:
     return ", ".join(sorted({*described, *found.replace(",", " ").split()}))
 
 
-def _invalid(error: RequestValidationError) -> Problem:
+def _invalid(error: RequestValidationError) -> ProblemError:
     errors = [_entry(entry) for entry in error.errors()]
     first = errors[0]
     name, value = first.get("parameter"), first.get("value")
     detail = f"{name}={value}: {first['message']}" if value is not None else first["message"]
-    return Problem(422, "bad_option", detail, fields={**first, "errors": errors})
+    return ProblemError(422, "bad_option", detail, fields={**first, "errors": errors})
 
 
 def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:

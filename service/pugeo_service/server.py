@@ -16,12 +16,12 @@ from prometheus_client import start_http_server
 from pydantic import ValidationError
 
 from pugeo_model.errors import CloudError
-from pugeo_service import logs, tracing
 from pugeo_service.app import create_app
-from pugeo_service.connection import Connection
+from pugeo_service.container import Service
+from pugeo_service.http.protocol import Connection
+from pugeo_service.observability import logs, tracing
+from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.settings import Settings
-from pugeo_service.state import Service
-from pugeo_service.telemetry import Telemetry
 
 __all__ = ["main", "serve"]
 

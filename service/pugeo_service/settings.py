@@ -68,7 +68,6 @@ class Settings(BaseSettings):
         1024 * MIB
     )
     queue_requests: Annotated[int, Field(ge=1, description="requests admitted at one time")] = 64
-    batch_patches: Annotated[int, Field(ge=1, description="patches of one task")] = 1
 
     deadline_s: Annotated[float, Field(gt=0, description="seconds a request may take")] = 600.0
     body_idle_s: Annotated[float, Field(gt=0, description="seconds between two body chunks")] = 30.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One set of tests for both clients: `twin` makes a call with either and waits for its end."""
+"""Fixtures for tests that run on both clients: `run_client` makes a call and returns its result."""
 
 import asyncio
 import inspect
@@ -19,13 +19,13 @@ Handler = Callable[[httpx2.Request], httpx2.Response]
 Call = Callable[[Any], Any]
 
 
-class Twin:
+class ClientRunner:
     """Runs a call on `Client` or on `AsyncClient`, against a handler or a real address."""
 
     def __init__(self, kind: str, waits: list[float]) -> None:
         self.kind = kind
         self.waits = waits
-        """Seconds of every wait between tries; none of them really passed."""
+        """Seconds of every wait between attempts; they are recorded instead of slept."""
 
     def __call__(self, call: Call, handler: Handler | None = None, **options: Any) -> Any:
         if self.kind == "sync":
@@ -51,18 +51,18 @@ class Twin:
 
 
 @pytest.fixture(params=["sync", "async"])
-def twin(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Twin:
-    """Either client; its waits between tries are noted instead of slept."""
+def run_client(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientRunner:
+    """Either client; its waits between attempts are recorded instead of slept."""
     waits: list[float] = []
 
-    async def note(seconds: float) -> None:
+    async def record(seconds: float) -> None:
         waits.append(seconds)
 
     monkeypatch.delenv("PUGEO_URL", raising=False)
     monkeypatch.delenv("PUGEO_API_KEY", raising=False)
-    monkeypatch.setattr("pugeo_client._client.time.sleep", waits.append)
-    monkeypatch.setattr("pugeo_client._aclient.asyncio.sleep", note)
-    return Twin(request.param, waits)
+    monkeypatch.setattr("pugeo_client._blocking_io.time.sleep", waits.append)
+    monkeypatch.setattr("pugeo_client.jobs.asyncio.sleep", record)
+    return ClientRunner(request.param, waits)
 
 
 @pytest.fixture(scope="session")
@@ -111,5 +111,5 @@ def scripted_server(script: Callable[[socket.socket, int], None]) -> Iterator[st
 
 @pytest.fixture(scope="session")
 def serve() -> Callable[..., Any]:
-    """`with serve(script) as url`: a server that behaves as badly as the script says."""
+    """`with serve(script) as url`: a server whose every connection is handled by the script."""
     return scripted_server

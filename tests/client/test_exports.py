@@ -8,7 +8,7 @@ from pugeo_client import AsyncClient, Client
 
 
 def test_every_public_name_is_there() -> None:
-    """What `__all__` and `dir` promise can be had."""
+    """Every name in `__all__` can be imported, and `dir` lists the same."""
     assert sorted(pugeo_client.__all__) == dir(pugeo_client)
     for name in pugeo_client.__all__:
         assert getattr(pugeo_client, name) is not None
@@ -16,8 +16,8 @@ def test_every_public_name_is_there() -> None:
         getattr(pugeo_client, "nothing_such")  # noqa: B009 - mypy would see it
 
 
-def test_the_twins_have_equal_signatures() -> None:
-    """Moving between sync and async changes an `await`, and nothing else."""
+def test_both_clients_have_equal_signatures() -> None:
+    """The methods of both clients have the same names and parameters."""
 
     def surface(kind: type) -> dict[str, list[str]]:
         return {
@@ -35,10 +35,10 @@ def test_the_module_function_calls_the_client(monkeypatch: pytest.MonkeyPatch) -
     """`pugeo_client.upsample` goes to PUGEO_URL with the options it was given."""
     seen: list[object] = []
 
-    def note(self: Client, src: object, ratio: float, **options: object) -> None:
+    def record(self: Client, src: object, ratio: float, **options: object) -> None:
         seen.extend([self.base_url, src, ratio, options])
 
     monkeypatch.setenv("PUGEO_URL", "http://far:1")
-    monkeypatch.setattr(Client, "upsample", note)
+    monkeypatch.setattr(Client, "upsample", record)
     pugeo_client.upsample("a.ply", 4, seed=3)
     assert seen == ["http://far:1", "a.ply", 4, {"seed": 3}]

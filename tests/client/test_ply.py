@@ -6,8 +6,8 @@ import numpy as np
 import plyfile
 import pytest
 
-from pugeo_client._ply import read_ply
-from pugeo_client.errors import BadAnswer
+from pugeo_client._ply import read_header, read_ply
+from pugeo_client.errors import InvalidResponseError
 
 
 def test_columns_agree_with_another_reader(ply_bytes: bytes) -> None:
@@ -57,7 +57,23 @@ def test_every_scalar_type(kind: str, dtype: str) -> None:
         lambda data: b"<html>" + data,
     ],
 )
-def test_damage_is_an_error_of_ours(ply_bytes: bytes, damage: Callable[[bytes], bytes]) -> None:
-    """Whatever is wrong with an answer, the caller meets BadAnswer and no index error."""
-    with pytest.raises(BadAnswer):
+def test_damaged_files(ply_bytes: bytes, damage: Callable[[bytes], bytes]) -> None:
+    """Every kind of damage is InvalidResponseError."""
+    with pytest.raises(InvalidResponseError):
         read_ply(damage(ply_bytes))
+
+
+def test_names_beyond_ascii(ply_bytes: bytes) -> None:
+    """Names of properties are UTF-8, as the service writes them, or Latin-1."""
+    for encoding in ("utf-8", "latin-1"):
+        named = ply_bytes.replace(b"float intensity", "float höhe".encode(encoding))
+        assert "höhe" in read_ply(named)
+    assert "日本" in read_ply(ply_bytes.replace(b"float intensity", "float 日本".encode()))
+
+
+def test_text_is_not_read(ply_bytes: bytes) -> None:
+    """A PLY in ASCII is told by its header; its arrays are not read."""
+    text = ply_bytes.replace(b"binary_little_endian", b"ascii")
+    assert read_header(text).ascii
+    with pytest.raises(InvalidResponseError, match="ASCII"):
+        read_ply(text)

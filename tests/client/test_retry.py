@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pugeo_client._retry import FIRST_DELAY, LONGEST_DELAY, RETRY_AFTER_CAP, delay_before_retry
+from pugeo_client._retry import FIRST_BACKOFF, MAX_BACKOFF, MAX_RETRY_AFTER, delay_before_retry
 from pugeo_client.errors import (
-    BadAnswer,
-    ConnectionFailed,
-    DeadlineExceeded,
+    ConnectionFailedError,
+    DeadlineExceededError,
+    InvalidResponseError,
     PugeoError,
     SourceError,
     StatusError,
@@ -33,32 +33,34 @@ def status(code: int, **fields: Any) -> StatusError:
 
 
 @pytest.mark.parametrize("code", [408, 425, 429, 502, 503, 504])
-def test_passing_states_are_retried(code: int) -> None:
-    """The statuses that mean "not now" are tried again."""
+def test_transient_statuses_are_retried(code: int) -> None:
+    """Statuses that may pass are retried."""
     assert decide(status(code)) is not None
 
 
 @pytest.mark.parametrize("code", [400, 401, 404, 409, 413, 415, 422, 500, 501])
-def test_lasting_states_are_not(code: int) -> None:
-    """A request that will fail again is not sent again."""
+def test_permanent_statuses_are_not(code: int) -> None:
+    """A request that would fail again is not retried."""
     assert decide(status(code)) is None
 
 
-def test_the_service_has_the_last_word() -> None:
-    """`retryable: false` forbids a retry of a status that would get one."""
+def test_the_service_decides() -> None:
+    """`retryable: false` prevents the retry of a transient status."""
     assert decide(status(503, retryable=False)) is None
     assert decide(status(503, retryable=True)) is not None
 
 
-@pytest.mark.parametrize("failure", [DeadlineExceeded(), SourceError(), BadAnswer(), PugeoError()])
-def test_what_no_retry_can_mend(failure: PugeoError) -> None:
-    """Errors on this side, and a spent deadline, end the call."""
+@pytest.mark.parametrize(
+    "failure", [DeadlineExceededError(), SourceError(), InvalidResponseError(), PugeoError()]
+)
+def test_local_errors_are_not_retried(failure: PugeoError) -> None:
+    """Errors of this side, and a deadline that has passed, end the call."""
     assert decide(failure) is None
 
 
-def test_no_connection_is_retried() -> None:
-    """A refused or broken connection is tried again."""
-    assert decide(ConnectionFailed()) is not None
+def test_connection_failures_are_retried() -> None:
+    """A refused or broken connection is retried."""
+    assert decide(ConnectionFailedError()) is not None
 
 
 @given(
@@ -70,29 +72,29 @@ def test_no_connection_is_retried() -> None:
 def test_delays_keep_every_bound(
     attempt: int, jitter: float, asked: float | None, remaining: float
 ) -> None:
-    """A wait is never shorter than asked for, never past the deadline, never past its cap."""
+    """A wait is never shorter than Retry-After, never beyond the deadline or its own limit."""
     failure = status(503, retry_after=asked)
     delay = decide(failure, attempt=attempt, max_retries=99, jitter=jitter, remaining=remaining)
     if delay is None:
-        assert remaining <= (asked or 0) + LONGEST_DELAY or (asked or 0) > RETRY_AFTER_CAP
+        assert remaining <= (asked or 0) + MAX_BACKOFF or (asked or 0) > MAX_RETRY_AFTER
         return
     assert delay < remaining
     if asked is None:
-        backoff = min(FIRST_DELAY * 2.0**attempt, LONGEST_DELAY)
+        backoff = min(FIRST_BACKOFF * 2.0**attempt, MAX_BACKOFF)
         assert backoff / 2 <= delay <= backoff
     else:
-        assert asked <= RETRY_AFTER_CAP
-        assert asked <= delay <= asked + LONGEST_DELAY
+        assert asked <= MAX_RETRY_AFTER
+        assert asked <= delay <= asked + MAX_BACKOFF
 
 
 def test_retries_are_counted() -> None:
-    """After max_retries tries the failure stands."""
-    delays = [decide(ConnectionFailed(), attempt=made, failures=made) for made in range(5)]
+    """After max_retries failures there is no further retry."""
+    delays = [decide(ConnectionFailedError(), attempt=made, failures=made) for made in range(5)]
     assert [delay is None for delay in delays] == [False, False, False, True, True]
 
 
-def test_a_full_service_is_asked_until_the_time_is_up() -> None:
-    """However often it said no; but not where nobody wants a retry, or it does not say when."""
+def test_overload_is_retried_until_the_deadline() -> None:
+    """Overload does not count as a failure, unless retries are off or Retry-After is missing."""
     full = {"attempt": 50, "failures": 3}
     for code in (429, 503):
         assert decide(status(code, retry_after=2.0), **full) is not None
@@ -102,8 +104,8 @@ def test_a_full_service_is_asked_until_the_time_is_up() -> None:
     assert decide(status(502, retry_after=2.0), **full) is None
 
 
-def test_an_endless_attempt_number_does_not_overflow() -> None:
-    """Backoff is capped before it can grow without bound."""
-    delay = decide(ConnectionFailed(), attempt=1000, max_retries=math.inf)
+def test_many_attempts_do_not_overflow() -> None:
+    """The backoff is limited before it can overflow, at 1,024 attempts and more."""
+    delay = decide(ConnectionFailedError(), attempt=5000, max_retries=math.inf)
     assert delay is not None
-    assert delay <= LONGEST_DELAY
+    assert delay <= MAX_BACKOFF

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from pugeo_client import AsyncClient, Client
-from pugeo_client.errors import Gone, Unprocessable
+from pugeo_client.errors import GoneError, UnprocessableError
 from pugeo_model import Cloud, formats
 
 # Services are started and killed here again and again.
@@ -220,9 +220,9 @@ def test_the_sdk(server: Server, tmp_path: Path) -> None:
         assert seen[-1][0] == "receive"
         assert client.job(job.id).state == "succeeded"
         assert job.id in {found.id for found in client.jobs(state="succeeded")}
-        with pytest.raises(Gone):
+        with pytest.raises(GoneError):
             job.cancel().wait()
-        with pytest.raises(Unprocessable) as caught:
+        with pytest.raises(UnprocessableError) as caught:
             client.submit(np.zeros((100, 3))).wait()
         assert caught.value.request_id
 

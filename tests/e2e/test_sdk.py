@@ -11,16 +11,22 @@ from typing import Any, Protocol
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from pugeo_client import AsyncClient, Client, Result
-from pugeo_client.errors import BadRequest, NotFound, Unprocessable, UnsupportedFormat
+from pugeo_client.errors import (
+    BadRequestError,
+    NotFoundError,
+    UnprocessableError,
+    UnsupportedFormatError,
+)
 
 EXAMPLE = "examples/block.ply"
 
 
 class Server(Protocol):
-    """What the fixture `server` gives."""
+    """Value of the fixture `server`."""
 
     url: str
 
@@ -59,7 +65,7 @@ def check(dense: Result, count: int) -> None:
 
 
 def test_a_file_becomes_a_denser_file(ask: Ask, root: Path, tmp_path: Path) -> None:
-    """The example comes back four times as dense, coloured, and with the story of its making."""
+    """The example comes back four times as dense, coloured, with its description."""
     out = tmp_path / "dense.ply"
     stages: list[str] = []
     dense = ask(
@@ -80,7 +86,7 @@ def test_a_file_becomes_a_denser_file(ask: Ask, root: Path, tmp_path: Path) -> N
 
 
 def test_arrays_keep_their_precision(ask: Ask, sphere: NDArray[np.float32]) -> None:
-    """A georeferenced array comes back in double precision, around where it was."""
+    """A georeferenced array comes back in double precision, in its own frame."""
     offset = np.array([500_000.0, 4_649_776.0, 120.0])
     dense = ask(lambda client: client.upsample(sphere.astype(np.float64) + offset, 2))
     check(dense, 1200)
@@ -90,22 +96,22 @@ def test_arrays_keep_their_precision(ask: Ask, sphere: NDArray[np.float32]) -> N
     assert len(np.unique(dense.points[:, 1])) > 1000
 
 
-def test_everything_that_rides_along(ask: Ask, sphere: NDArray[np.float32]) -> None:
-    """Colours, a continuous scalar and a label come back for each new point."""
+def test_all_attributes_are_kept(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """Colours, a continuous scalar and a label come back for each new point, under any name."""
     cloud = {
         "points": sphere,
         "normals": sphere,
         "colors": np.full((600, 3), 77, dtype=np.uint8),
         "scalars": {
             "intensity": sphere[:, 2].copy(),
-            "label": (sphere[:, 2] > 0).astype(np.int32),
+            "höhe": (sphere[:, 2] > 0).astype(np.int32),
         },
     }
     dense = ask(lambda client: client.upsample(cloud, 3, orient="input"))
     check(dense, 1800)
     assert (dense.colors == 77).all()
     assert abs(dense.scalars["intensity"] - dense.points[:, 2]).max() < 0.2
-    assert set(np.unique(dense.scalars["label"])) == {0, 1}
+    assert set(np.unique(dense.scalars["höhe"])) == {0, 1}
     assert (np.sum(dense.normals * dense.points, axis=1) > 0).all()
 
 
@@ -151,21 +157,57 @@ def test_many_clouds(ask: Ask, sphere: NDArray[np.float32]) -> None:
     assert [len(result) for result in results] == [2 * len(cloud) for cloud in clouds]
 
 
+def test_a_folder_of_clouds(ask: Ask, root: Path, tmp_path: Path) -> None:
+    """`map` writes one file for each source; a broken one is its own error."""
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat nonsense\n")
+    sources = [root / EXAMPLE, tmp_path / "broken.ply", root / "examples/knot.ply"]
+    out = tmp_path / "dense"
+    block, broken, knot = ask(lambda client: client.map(sources, out=out, R=2))
+    assert isinstance(broken, BadRequestError)
+    assert sorted(path.name for path in out.iterdir()) == ["block.ply", "knot.ply"]
+    check(block, 5000)
+    check(knot, 8000)
+
+
+def test_lists_and_tensors(ask: Ask, sphere: NDArray[np.float32]) -> None:
+    """A list, a torch tensor and an array of the same points give the same cloud."""
+    double = sphere.astype(np.float64)
+    clouds = ask(lambda client: client.map([double, double.tolist(), torch.tensor(double)], R=2))
+    assert clouds[0].data == clouds[1].data == clouds[2].data
+
+
+def test_a_cloud_beyond_the_time_limit(launch: Callable[..., Any], tmp_path: Path) -> None:
+    """A cloud that the service cannot finish within one request is finished as a job."""
+    points = np.random.default_rng(0).normal(size=(30_000, 3)).astype(np.float32)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    stages: list[str] = []
+    with launch("--workers", "1", "--deadline-s", "0.5") as server, Client(server.url) as client:
+        server.wait_until_ready()
+        dense = client.upsample(
+            points, 4, out=tmp_path / "d.ply", on_progress=lambda stage, *_: stages.append(stage)
+        )
+        (job,) = client.jobs()
+    check(dense, 120_000)
+    assert job.state == "succeeded"
+    assert stages[-1] == "receive"
+    assert "predict" in stages
+
+
 @pytest.mark.parametrize(
     ("source", "options", "error", "words"),
     [
-        (b"ply\nformat binary_little_endian 1.0\nelement vert", {}, BadRequest, "header"),
-        (b"%PDF-1.7", {}, UnsupportedFormat, "format"),
-        (np.zeros((1, 3)), {}, Unprocessable, "point"),
-        (np.eye(3).repeat(20, axis=0), {}, Unprocessable, "point"),
-        (io.BytesIO(b"0 0 0\n1 0 0\n0 1 0\n"), {"ratio": 99}, Unprocessable, "R"),
-        (b"0 0 0\n", {"orient": "sideways"}, Unprocessable, "orient"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vert", {}, BadRequestError, "header"),
+        (b"%PDF-1.7", {}, UnsupportedFormatError, "format"),
+        (np.zeros((1, 3)), {}, UnprocessableError, "point"),
+        (np.eye(3).repeat(20, axis=0), {}, UnprocessableError, "point"),
+        (io.BytesIO(b"0 0 0\n1 0 0\n0 1 0\n"), {"ratio": 99}, UnprocessableError, "R"),
+        (b"0 0 0\n", {"orient": "sideways"}, UnprocessableError, "orient"),
     ],
 )
 def test_refusals_are_typed(
     ask: Ask, source: Any, options: dict[str, Any], error: type[Exception], words: str
 ) -> None:
-    """What the service refuses arrives as the right exception, with a reason and an id."""
+    """A refusal of the service is the right exception, with a reason and an id."""
     with pytest.raises(error, match=words) as caught:
         ask(lambda client: client.upsample(source, **options))
     assert getattr(caught.value, "request_id", None)
@@ -173,7 +215,7 @@ def test_refusals_are_typed(
 
 
 def test_health_and_models(ask: Ask) -> None:
-    """A service that answers says that it is ready, and what it runs."""
+    """The service reports that it is ready, and which model it runs."""
     assert ask(lambda client: client.health())["status"] == "ready"
     (card,) = ask(lambda client: client.models())
     assert card["name"] == "standard"
@@ -181,6 +223,6 @@ def test_health_and_models(ask: Ask) -> None:
 
 
 def test_a_wrong_address(server: Server) -> None:
-    """A base URL with a path that is not there is told apart from a dead service."""
-    with Client(server.url + "/elsewhere") as client, pytest.raises(NotFound):
+    """A base URL with an unknown path is NotFoundError, and no connection failure."""
+    with Client(server.url + "/elsewhere") as client, pytest.raises(NotFoundError):
         client.models()

@@ -105,7 +105,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
 
         # Bob is shut out without a restart, and so is everybody once the file is gone.
         write_keys(path, "ann")
-        with Client(server.url, api_key="bobbob") as bob, pytest.raises(errors.Unauthorized):
+        with Client(server.url, api_key="bobbob") as bob, pytest.raises(errors.UnauthorizedError):
             bob.upsample(SMALL)
         path.unlink()
         assert httpx2.get(f"{server.url}/models", headers=bearer("ann")).status_code == 401

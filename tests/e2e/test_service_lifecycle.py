@@ -193,7 +193,7 @@ class FarCluster:
 
     def start(self) -> None:
         """Start both."""
-        preload = ["--preload", "pugeo_service.engine.preload"]
+        preload = ["--preload", "pugeo_service.engine.worker"]
         spill = ["--local-directory", str(self._folder)]
         self._run("scheduler", "--host", self.address)
         self._run("worker", self.address, "--nthreads", "1", *preload, *spill)

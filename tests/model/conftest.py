@@ -7,9 +7,9 @@ import pytest
 
 def fibonacci_sphere(count):
     """Even points of the unit sphere; the points are their own normals."""
-    turn = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * turn / count
-    angle = turn * np.pi * (3.0 - np.sqrt(5.0))
+    index = np.arange(count) + 0.5
+    height = 1.0 - 2.0 * index / count
+    angle = index * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - height**2)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 

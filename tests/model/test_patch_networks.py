@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.options import Options
-from pugeo_model.pipeline import survey
+from pugeo_model.plan import make_plan
 from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import save
 
@@ -85,7 +85,7 @@ def test_scale_and_place_do_not_matter(quiet, sphere):
 
 def test_more_than_the_network_was_trained_for_is_refused(upsampler, sphere):
     """A network for R=4 says so at R=5."""
-    with pytest.raises(BadOption, match="1 to 4 times"):
+    with pytest.raises(BadOptionError, match="1 to 4 times"):
         upsampler(sphere, 5.0)
 
 
@@ -99,8 +99,8 @@ def test_few_points(upsampler, sphere, count):
 
 def test_tiles_give_all_points(quiet, sphere):
     """A cloud cut into tiles has as many points as asked for, and no gap between them."""
-    plan = survey(Cloud(sphere), Options(4.0), tile_size=500, patch_ratio=4)
-    assert len(plan.cuts) > 1
+    plan = make_plan(Cloud(sphere), Options(4.0), tile_size=500, patch_ratio=4)
+    assert len(plan.tile_specs) > 1
     cloud = quiet.upsample(plan).cloud
     assert len(cloud.points) == 8000
     octants = (cloud.points > 0) @ [1, 2, 4]

@@ -1,25 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Upsampling of whole clouds, and the order of its stages."""
+
+from collections.abc import Generator
+
 import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from pugeo_model import BadOption, Cloud, UntreatableCloud
+from pugeo_model import BadOptionError, Cloud, UntreatableCloudError
+from pugeo_model.assembly import assemble
+from pugeo_model.denoise import needs_denoising
+from pugeo_model.local_stages import denoise, densify
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.pipeline import (
-    assemble,
-    denoise,
-    finish,
-    land,
-    merge,
-    noisy,
-    own_spots,
-    predict,
-    prepare,
-    propose,
-    survey,
-)
+from pugeo_model.pipeline import run_here, upsample_tile
+from pugeo_model.plan import make_plan
+from pugeo_model.prepare import prepare
+from pugeo_model.stage_times import StageTimes
 from pugeo_model.upsampler import Upsampler
 
 
@@ -45,7 +43,7 @@ def test_exact_counts_on_a_sphere(upsampler, sphere, ratio):
 
 
 def test_even_spacing(upsampler, sphere):
-    """The dense points are spread about as evenly as a Poisson-disk sample."""
+    """The spacing of dense points varies little more than that of a Poisson-disk sample."""
     assert evenness(upsampler(sphere, 4).cloud.points) < 0.13
 
 
@@ -65,7 +63,7 @@ def test_cube_keeps_its_faces(upsampler, cube):
 
 
 def test_ratio_one_returns_the_input_with_normals(upsampler, sphere):
-    """At R=1 the points are the input's own, bit for bit and in order."""
+    """At R=1 the points are those of the input, bit for bit and in order."""
     points = sphere.astype(np.float32)
     dense = upsampler(points, 1).cloud
     np.testing.assert_array_equal(dense.points, points)
@@ -73,7 +71,7 @@ def test_ratio_one_returns_the_input_with_normals(upsampler, sphere):
 
 
 def test_the_input_can_be_kept(upsampler, sphere):
-    """Kept input leads the answer bit for bit, noise and all; new points spread evenly around."""
+    """Kept noisy input leads the output bit for bit; the new points are denoised and even."""
     noisy = (sphere + np.random.default_rng(0).normal(0, 0.01, sphere.shape)).astype(np.float32)
     cloud = Cloud(noisy, scalars={"row": np.arange(len(noisy), dtype=np.int32)})
     dense = upsampler(cloud, 3, keep_input=True).cloud
@@ -88,33 +86,37 @@ def test_the_input_can_be_kept(upsampler, sphere):
 
 
 def test_n_points_instead_of_ratio(upsampler, sphere):
-    """A number of points is met exactly; outside 1 to 32 times the input it is refused."""
+    """A number of points is matched exactly; outside 1 to 32 times the input it is an error."""
     assert len(upsampler(sphere, n_points=5001).cloud) == 5001
     for wanted in (10, 100_000):
-        with pytest.raises(BadOption, match="n_points"):
+        with pytest.raises(BadOptionError, match="n_points"):
             upsampler(sphere, n_points=wanted)
 
 
+def predict(upsampler, prepared, step=1):
+    """Charts of all patches, in their order or in the opposite one."""
+    count = prepared.tile.candidates
+    return [upsampler.model.charts(patch, count) for patch in prepared.patches[::step]]
+
+
 def test_order_of_work_does_not_matter(upsampler, sphere):
-    """Patches predicted in any order, by anyone, give the same bytes."""
+    """Patches predicted in any order give the same bytes."""
     points = np.concatenate([sphere, sphere + [2.5, 0, 0], sphere * 1.1 + [0, 2.5, 0]])
-    plan = survey(Cloud(points), Options(4.0))
-    job = prepare(plan.tile(0))
-    assert len(job.patches) > 2
-    model = upsampler.model
+    plan = make_plan(Cloud(points), Options(4.0))
+    prepared = prepare(plan.tile(0))
+    assert len(prepared.patches) > 2
     results = []
-    for turn in (1, -1):
-        charts = [predict(model, patch, job.candidates) for patch in job.patches[::turn]]
-        candidates = land(model, propose(job, charts))
-        piece = finish(job, land(model, merge(job, charts, candidates)))
-        results.append(assemble(plan, [piece]))
+    for step in (1, -1):
+        charts = predict(upsampler, prepared, step)
+        tile = densify(upsampler.model, prepared, charts, StageTimes())
+        results.append(assemble(plan, [tile]))
     one, two = results
     assert one.cloud.points.tobytes() == two.cloud.points.tobytes()
     np.testing.assert_array_equal(one.cloud.normals, two.cloud.normals)
 
 
 def test_seed_decides(upsampler, sphere):
-    """The same seed gives the same bytes, another seed another sample as good."""
+    """The same seed gives the same bytes, another seed another sample that is as even."""
     same = [upsampler(sphere, 4, seed=7).cloud.points.tobytes() for _ in range(2)]
     other = upsampler(sphere, 4, seed=8).cloud.points
     assert same[0] == same[1] != other.tobytes()
@@ -122,7 +124,7 @@ def test_seed_decides(upsampler, sphere):
 
 
 def test_large_offset_in_double(upsampler, sphere):
-    """A scan far from the origin is upsampled as well as one at it."""
+    """A scan far from the origin is upsampled as accurately as one at the origin."""
     far = np.array([4.3e5, 5.4e6, 600.0])
     here = upsampler(sphere, 2).cloud.points
     there = upsampler(sphere + far, 2).cloud.points - far
@@ -130,7 +132,7 @@ def test_large_offset_in_double(upsampler, sphere):
     assert np.abs(np.linalg.norm(here, axis=1) - 1).mean() < 2e-3
 
 
-def test_attributes_ride_along(upsampler, sphere):
+def test_attributes_are_interpolated(upsampler, sphere):
     """Colours and scalars are interpolated, labels taken from the nearest point."""
     level = ((sphere[:, 2] + 1) * 127).astype(np.uint8)
     cloud = Cloud(
@@ -145,7 +147,7 @@ def test_attributes_ride_along(upsampler, sphere):
 
 
 def test_every_normal_faces_the_viewpoint(upsampler, sphere):
-    """With a viewpoint no dense normal looks away from it, however the surface lies."""
+    """With a viewpoint no dense normal points away from it."""
     where = (0.3, 0.2, 1.4)
     for ratio in (1, 4):
         result = upsampler(sphere, ratio, viewpoint=where)
@@ -154,19 +156,19 @@ def test_every_normal_faces_the_viewpoint(upsampler, sphere):
         assert facing.min() > -1e-6
 
 
-def test_nothing_flies_off(upsampler):
-    """However scattered the input, no point lies further than 1.25 spacings from it."""
+def test_points_stay_near_the_input(upsampler):
+    """No dense point lies further than 1.25 spacings from scattered input."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(400, 3)) * np.exp(rng.normal(size=(400, 1)))
     dense = upsampler(points, 8).cloud.points
-    apart = np.linalg.norm(dense[:, None] - points[None], axis=-1)
+    distance = np.linalg.norm(dense[:, None] - points[None], axis=-1)
     between = np.sort(np.linalg.norm(points[:, None] - points[None], axis=-1), axis=1)
     spacing = between[:, 1:9].mean(axis=1)
-    assert (apart / spacing).min(axis=1).max() < 1.25 + 1e-6
+    assert (distance / spacing).min(axis=1).max() < 1.25 + 1e-6
 
 
 def test_dropped_points_are_counted(upsampler, sphere):
-    """NaN rows and duplicates go, the report says how many, and the count follows what is left."""
+    """The report has the numbers of NaN rows and duplicates; the ratio refers to the others."""
     dirty = np.concatenate([sphere, sphere[:5], np.full((3, 3), np.nan)])
     result = upsampler(dirty, 2)
     assert result.report["dropped"] == {"non_finite": 3, "duplicate": 5}
@@ -185,8 +187,8 @@ def test_dropped_points_are_counted(upsampler, sphere):
     ids=["identical", "three", "line", "infinite", "none"],
 )
 def test_untreatable_clouds(upsampler, points):
-    """What spans no surface is refused with a reason."""
-    with pytest.raises(UntreatableCloud):
+    """Points that span no surface are an error."""
+    with pytest.raises(UntreatableCloudError):
         upsampler(points, 4)
 
 
@@ -204,15 +206,15 @@ def test_untreatable_clouds(upsampler, points):
     ],
 )
 def test_bad_options(options):
-    """Each option out of range is refused by name."""
-    with pytest.raises(BadOption) as caught:
+    """An option out of range is an error with its name."""
+    with pytest.raises(BadOptionError) as caught:
         Options(**options)
     assert caught.value.fields["parameter"] in {*options, "viewpoint"}
 
 
 @pytest.mark.parametrize("count", [8, 9, 20, 33, 40])
 def test_tiny_clouds(upsampler, count):
-    """From 8 points on every cloud is answered, with finite points and unit normals."""
+    """Clouds of 8 points and more give finite points and unit normals."""
     points = np.random.default_rng(count).random((count, 3))
     dense = upsampler(points, 4).cloud
     assert len(dense) == 4 * count
@@ -221,7 +223,7 @@ def test_tiny_clouds(upsampler, count):
 
 
 def test_nearly_duplicate_points(upsampler, sphere):
-    """Points 1e-12 apart do not blow anything up."""
+    """Points 1e-12 apart give finite points near the surface."""
     close = np.concatenate([sphere, sphere[:500] + 1e-12])
     dense = upsampler(close, 4).cloud
     assert np.isfinite(dense.points).all()
@@ -229,21 +231,21 @@ def test_nearly_duplicate_points(upsampler, sphere):
 
 
 def test_points_of_a_clean_input_may_stay(upsampler, sphere):
-    """Where they survive beside the candidates, as on a tip that no chart reaches; not if noisy."""
+    """Input points are candidates too, so that a tip is kept; not those of a noisy input."""
     tip = np.array([[0.0, 0.0, 1.12]])
     spiked = np.concatenate([sphere, tip])
     noise = np.random.default_rng(0).normal(size=spiked.shape, scale=0.01)
-    for points, stays in ((spiked, True), (spiked + noise, False)):
+    for points, kept in ((spiked, True), (spiked + noise, False)):
         dense = upsampler(points, 4).cloud.points
-        apart = np.min(cKDTree(dense).query(points[-1])[0])
-        assert bool(apart < 1e-9) is stays
+        distance = np.min(cKDTree(dense).query(points[-1])[0])
+        assert bool(distance < 1e-9) is kept
         assert evenness(dense) < 0.12
 
 
 def test_a_noisy_input_is_denoised_first(upsampler, sphere):
-    """Its job is prepared anew, from points nearer to the surface; the report tells of the input.
+    """A noisy tile is prepared again from points nearer to the surface, with the input's noise.
 
-    One without noise, or whose points are to stay, goes its way as it is.
+    Input without noise, and input that is kept, is not denoised.
     """
     points = sphere + np.random.default_rng(0).normal(size=sphere.shape, scale=0.02)
     for cloud, keep, moves in (
@@ -251,26 +253,82 @@ def test_a_noisy_input_is_denoised_first(upsampler, sphere):
         (points, True, False),
         (sphere, False, False),
     ):
-        (tile,) = survey(Cloud(cloud), Options(4.0, keep_input=keep)).tiles
-        job = prepare(tile)
-        assert noisy(job) is moves
+        (tile,) = make_plan(Cloud(cloud), Options(4.0, keep_input=keep)).tiles
+        prepared = prepare(tile)
+        assert needs_denoising(prepared) is moves
         if moves:
-            charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            again = denoise(job, land(upsampler.model, own_spots(job, charts)))
-            placed = [tile.placement.world(each.points) for each in (job, again)]
-            off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in placed]
+            moved = denoise(upsampler.model, prepared, predict(upsampler, prepared))
+            assert moved is not None
+            again = prepare(moved)
+            world = [tile.normalisation.world(each.points) for each in (prepared, again)]
+            off = [np.abs(np.linalg.norm(each, axis=1) - 1).mean() for each in world]
             assert off[1] < 0.7 * off[0]
-            assert again.frames.noise < job.frames.noise == again.noise
-            assert upsampler(cloud, 4).report["noise"] == job.noise
+            assert again.frames.noise < prepared.frames.noise == again.noise
+            assert not needs_denoising(again)
+            assert upsampler(cloud, 4).report["noise"] == prepared.noise
 
 
-def test_detail_is_not_taken_for_noise(upsampler):
-    """What looks rough but lands where it is stays: a cloud too coarse for its folds."""
+def test_detail_is_not_noise(upsampler):
+    """Detail with large residuals that hardly moves under projection is not denoised."""
     u, v = np.random.default_rng(0).random((2, 1500)) * 30
     folds = np.column_stack([u, v, 0.8 * np.abs((u + 0.3 * v) % 4 - 2)])
-    (tile,) = survey(Cloud(folds), Options(4.0)).tiles
-    job = prepare(tile)
-    charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-    again = denoise(job, land(upsampler.model, own_spots(job, charts)))
-    assert noisy(job)
-    assert again is job
+    (tile,) = make_plan(Cloud(folds), Options(4.0)).tiles
+    prepared = prepare(tile)
+    assert needs_denoising(prepared)
+    assert denoise(upsampler.model, prepared, predict(upsampler, prepared)) is None
+
+
+class RecordedStages:
+    """Stages that only record their names; the first prepared value is noisy."""
+
+    def __init__(self, moves: bool) -> None:
+        self.moves = moves
+        self.calls: list[str] = []
+
+    async def prepare(self, tile):
+        self.calls.append("prepare")
+        return tile
+
+    async def predict(self, prepared):
+        self.calls.append("predict")
+        return prepared
+
+    def needs_denoising(self, prepared):
+        return prepared == "noisy"
+
+    async def denoise(self, _prepared, _charts):
+        self.calls.append("denoise")
+        return "moved" if self.moves else None
+
+    async def densify(self, prepared, charts):
+        self.calls.append("densify")
+        return prepared, charts
+
+
+@pytest.mark.parametrize(
+    ("tile", "moves", "calls", "result"),
+    [
+        ("clean", True, "prepare predict densify", "clean"),
+        ("noisy", True, "prepare predict denoise prepare predict densify", "moved"),
+        ("noisy", False, "prepare predict denoise densify", "noisy"),
+    ],
+)
+def test_the_stages_of_a_tile(tile, moves, calls, result):
+    """A noisy tile is prepared and predicted again, if denoising moved its points."""
+    stages = RecordedStages(moves)
+    assert run_here(upsample_tile(stages, tile)) == (result, result)
+    assert stages.calls == calls.split()
+
+
+def test_a_local_stage_must_not_wait():
+    """A coroutine that waits for an event loop is an error and not a silent stop."""
+
+    class Waiting:
+        def __await__(self) -> Generator[None]:
+            yield
+
+    async def wait():
+        await Waiting()
+
+    with pytest.raises(RuntimeError, match="event loop"):
+        run_here(wait())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cloud in tiles comes out as it would in one piece."""
+"""A cloud in tiles gives the same quality as in one piece."""
 
 import numpy as np
 import pytest
@@ -7,24 +7,20 @@ import torch
 from scipy.spatial import cKDTree
 
 from pugeo_model import Cloud
-from pugeo_model.finish.by_answer import take_sides_by_answer
-from pugeo_model.finish.joining import signs_of_parts
+from pugeo_model.denoise import needs_denoising
+from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.shares import shares
+from pugeo_model.local_stages import denoise
+from pugeo_model.mesh.sampling import poisson_disk
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.options import Options
-from pugeo_model.pipeline import (
-    denoise,
-    land,
-    noisy,
-    own_spots,
-    predict,
-    prepare,
-    propose,
-    survey,
-)
-from pugeo_model.tiles import cut_tiles
-from pugeo_model.training.corpus import poisson_disk
+from pugeo_model.orient.across_tiles import signs_across_tiles
+from pugeo_model.orient.dense import orient_dense
+from pugeo_model.plan import make_plan
+from pugeo_model.prepare import prepare
+from pugeo_model.queries import propose
+from pugeo_model.resample.atlas import Atlas
+from pugeo_model.tiles import plan_tiles
 from pugeo_model.upsampler import Upsampler
 
 SIZE = 1200
@@ -52,39 +48,45 @@ def ball():
 
 
 def dense(upsampler, cloud, options, size=None):
-    """The whole way, in tiles of at most ``size``."""
-    return upsampler.upsample(survey(cloud, options, size))
+    """Upsample a cloud in tiles of at most ``size`` points."""
+    return upsampler.upsample(make_plan(cloud, options, size))
+
+
+def predict(upsampler, prepared):
+    """Charts of all patches."""
+    count = prepared.tile.candidates
+    return [upsampler.model.charts(patch, count) for patch in prepared.patches]
 
 
 def test_cores_partition_the_cloud(ball):
-    """Every point is in one core; margins hold all within reach; shares of the answer add up."""
-    cuts, noise, typical = cut_tiles(ball, 16_001, SIZE)
-    assert len(cuts) == 4
-    cores = [cut.rows[: cut.core] for cut in cuts]
+    """Each point is in one core; margins contain all points near it; output counts add up."""
+    specs, noise, typical = plan_tiles(ball, 16_001, SIZE)
+    assert len(specs) == 4
+    cores = [spec.rows[: spec.core] for spec in specs]
     np.testing.assert_array_equal(np.sort(np.concatenate(cores)), np.arange(4000))
-    assert sum(cut.n_out for cut in cuts) == 16_001
+    assert sum(spec.n_out for spec in specs) == 16_001
     assert noise is not None
     assert noise < 0.02
     spacing = nearest(ball)[0][:, :8].mean()
     assert typical == pytest.approx(spacing, rel=0.03)
-    for cut in cuts:
-        apart = cKDTree(ball[cut.rows[: cut.core]]).query(ball)[0] / spacing
-        assert set(np.flatnonzero(apart < 6)) <= set(cut.rows)
-        # Those next to the core get charts, those beyond do not.
-        assert set(np.flatnonzero(apart < 2.8)) <= set(cut.rows[: cut.charted])
-        assert apart[cut.rows[: cut.charted]].max() < 3.6
-        assert len(np.unique(cut.rows)) == len(cut.rows)
+    for spec in specs:
+        distance = cKDTree(ball[spec.rows[: spec.core]]).query(ball)[0] / spacing
+        assert set(np.flatnonzero(distance < 6)) <= set(spec.rows)
+        # The inner margin gets charts, the outer one does not.
+        assert set(np.flatnonzero(distance < 2.8)) <= set(spec.rows[: spec.charted])
+        assert distance[spec.rows[: spec.charted]].max() < 3.6
+        assert len(np.unique(spec.rows)) == len(spec.rows)
 
 
 def test_small_clouds_stay_whole(ball):
-    """A margin that costs more than it saves is not made."""
-    cuts, *found = cut_tiles(ball, 16_000)
-    assert [(cut.core, cut.n_out) for cut in cuts] == [(4000, 16_000)]
-    assert found == [None, None]
+    """A small cloud is a single tile, which measures noise and spacing itself."""
+    specs, *measured = plan_tiles(ball, 16_000)
+    assert [(spec.core, spec.n_out) for spec in specs] == [(4000, 16_000)]
+    assert measured == [None, None]
 
 
 def test_no_seam_shows(upsampler, ball):
-    """As even as in one piece, nowhere two points on top of each other, all normals outward."""
+    """Tiles are as even as one piece, without coincident points, with all normals outward."""
     whole = dense(upsampler, Cloud(ball), Options(4.0)).cloud
     tiled = dense(upsampler, Cloud(ball), Options(4.0), SIZE).cloud
     assert len(tiled) == 16_000
@@ -92,8 +94,8 @@ def test_no_seam_shows(upsampler, ball):
     once, tiles = (
         np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
     )
-    # Each tile thins its own: without a look across the border two to fourteen points of such a
-    # ball are as near to another as 0.13 of the closest here.
+    # Without the separation at the seams, 2 to 14 points of such a ball are as close to another
+    # one as 0.13 of the smallest distance here.
     assert tiles[0] > 0.9 * once[0]
     assert (tiles[2:100] > 0.95 * once[2:100]).all()
     assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
@@ -101,7 +103,7 @@ def test_no_seam_shows(upsampler, ball):
 
 
 def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
-    """Tiles denoise for themselves, and agree: as even and as near the surface as in one piece."""
+    """Denoised tiles are as even and as near the surface as one piece."""
     noisy = ball + np.random.default_rng(0).normal(size=ball.shape, scale=0.01)
     whole = dense(upsampler, Cloud(noisy), Options(4.0)).cloud.points
     tiled = dense(upsampler, Cloud(noisy), Options(4.0), SIZE).cloud.points
@@ -111,55 +113,58 @@ def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.02])
-def test_tiles_take_the_same_for_accidents(upsampler, ball, scale):
-    """Of an even cloud all points stand for the same area, in each tile, denoised or not."""
+def test_tiles_have_the_same_areas(upsampler, ball, scale):
+    """All points of an even cloud have the same area, in each tile, denoised or not."""
     cloud = ball + np.random.default_rng(0).normal(size=ball.shape, scale=scale)
-    for tile in survey(Cloud(cloud), Options(4.0), SIZE).tiles:
-        job = prepare(tile)
-        assert noisy(job) is (scale > 0)
-        charted = sum(patch.core for patch in job.patches)
-        # Of a noisy cloud all points land, since others lean on where they do.
+    for tile in make_plan(Cloud(cloud), Options(4.0), SIZE).tiles:
+        prepared = prepare(tile)
+        noisy = needs_denoising(prepared)
+        assert noisy is (scale > 0)
+        charted = sum(patch.core for patch in prepared.patches)
+        # All points of a noisy cloud get charts, since the margin is denoised as well.
         assert charted == tile.charted
-        assert (charted == len(job.points)) is noisy(job)
-        if noisy(job):
-            charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-            job = denoise(job, land(upsampler.model, own_spots(job, charts)))
-            assert job.denoised
-        share = job.share[job.core]
-        assert share.std() < 0.004 * share.mean()
+        assert (charted == len(prepared.points)) is noisy
+        if noisy:
+            moved = denoise(upsampler.model, prepared, predict(upsampler, prepared))
+            assert moved is not None
+            prepared = prepare(moved)
+            assert prepared.tile.noisy is not None
+        area = prepared.area[prepared.core]
+        assert area.std() < 0.004 * area.mean()
 
 
-def test_spots_land_on_charts_alone(upsampler):
-    """Where a border is sparser than the core, points without charts are the nearest to some."""
+def test_queries_use_charted_points_only(upsampler):
+    """Points without charts are never used, though some are the nearest to a query."""
     rng = np.random.default_rng(0)
     dense, sparse = rng.random((6000, 2)), rng.random((1400, 2)) * [5, 1] + [1, 0]
     flat = np.concatenate([dense, sparse])
-    reached = []
-    for tile in survey(Cloud(np.column_stack([flat, 0.01 * flat[:, 0]])), Options(2.0), 1250).tiles:
-        job = prepare(tile)
-        charts = [predict(upsampler.model, patch, job.candidates) for patch in job.patches]
-        landing = propose(job, charts)
-        assert landing.charts.max() < tile.charted == sum(len(each.rows) for each in charts)
-        near = job.neighbours[landing.charts[:, 0], :12]
-        gaps = landing.spots[:, None] - job.points[near]
-        nearest = near[np.arange(len(near)), np.square(gaps).sum(axis=2).argmin(axis=1)]
-        reached.append(np.count_nonzero(nearest >= tile.charted))
-    assert sum(reached) > 0
+    cloud = Cloud(np.column_stack([flat, 0.01 * flat[:, 0]]))
+    without_chart = 0
+    for tile in make_plan(cloud, Options(2.0), 1250).tiles:
+        prepared = prepare(tile)
+        charts = predict(upsampler, prepared)
+        query = propose(prepared, Atlas.of(prepared.points, prepared.frames, charts))
+        assert query.charts.max() < tile.charted == sum(len(each.rows) for each in charts)
+        near = prepared.neighbours[query.charts[:, 0], :12]
+        offsets = query.points[:, None] - prepared.points[near]
+        closest = near[np.arange(len(near)), np.square(offsets).sum(axis=2).argmin(axis=1)]
+        without_chart += int(np.count_nonzero(closest >= tile.charted))
+    assert without_chart > 0
 
 
-def test_a_noisy_cloud_whose_points_stay(ball):
-    """Its margins need no more charts than others: nothing is denoised."""
+def test_a_noisy_cloud_that_is_kept(ball):
+    """Margins get no more charts than usual, since kept input is not denoised."""
     noisy_ball = Cloud(ball + np.random.default_rng(0).normal(size=ball.shape, scale=0.02))
     for keep in (False, True):
-        plan = survey(noisy_ball, Options(4.0, keep_input=keep), SIZE)
-        assert all((cut.charted == len(cut.rows)) is not keep for cut in plan.cuts)
+        plan = make_plan(noisy_ball, Options(4.0, keep_input=keep), SIZE)
+        assert all((spec.charted == len(spec.rows)) is not keep for spec in plan.tile_specs)
 
 
 def test_a_tile_without_neighbours(upsampler, ball):
-    """A part of the cloud that stands apart and is one tile has no border; the others have."""
+    """A tile far from all others has no border; the other tiles have one."""
     apart = np.concatenate([0.4 * ball[::4], ball + [50.0, 0.0, 0.0]])
-    plan = survey(Cloud(apart), Options(2.0), 1000)
-    margins = [len(cut.rows) - cut.core for cut in plan.cuts]
+    plan = make_plan(Cloud(apart), Options(2.0), 1000)
+    margins = [len(spec.rows) - spec.core for spec in plan.tile_specs]
     assert min(margins) == 0 < max(margins)
     dense = upsampler.upsample(plan).cloud
     assert len(dense) == 10_000
@@ -171,7 +176,7 @@ def test_a_tile_without_neighbours(upsampler, ball):
 
 @pytest.mark.parametrize("ratio", [1.0, 1.01, 2.5])
 def test_the_input_is_kept(upsampler, ball, ratio):
-    """Bit for bit and in its order, whatever tile a point was in; the rest lies between."""
+    """Kept input is unchanged and in its order, though its points come from several tiles."""
     height = ball[:, 2].astype(np.float32)
     cloud = Cloud(ball, scalars={"height": height})
     result = dense(upsampler, cloud, Options(ratio, keep_input=True), SIZE)
@@ -185,7 +190,7 @@ def test_the_input_is_kept(upsampler, ball, ratio):
 
 @pytest.mark.parametrize("orient", ["viewpoint", "outward", "input", "none"])
 def test_signs_that_need_no_neighbours(upsampler, ball, orient):
-    """Each method means the same in tiles, far from the origin too."""
+    """Each method gives the same signs in tiles, far from the origin too."""
     offset = np.array([5e5, 1e6, 30.0])
     cloud = Cloud(ball + offset, normals=(-ball).astype(np.float32))
     options = Options(2.0, orient=orient, viewpoint=tuple(offset))
@@ -198,19 +203,19 @@ def test_signs_that_need_no_neighbours(upsampler, ball, orient):
 
 
 def test_progress_counts_all_tiles(upsampler, ball):
-    """A stage starts where it ended in the tile before, and all end at the total."""
-    told = []
-    plan = survey(Cloud(ball), Options(2.0), SIZE)
-    upsampler.upsample(plan, lambda *now: told.append(now))
-    done = [now for stage, now, _ in told if stage == "network"]
+    """The number of completed patches never decreases and ends at the total."""
+    calls = []
+    plan = make_plan(Cloud(ball), Options(2.0), SIZE)
+    upsampler.upsample(plan, lambda *call: calls.append(call))
+    done = [done for stage, done, _ in calls if stage == "predict"]
     assert done == sorted(done)
-    assert len(set(done)) >= len(plan.cuts)
-    assert {total for _, _, total in told} == {plan.report["patches"]}
-    assert told[-1][1] == plan.report["patches"]
+    assert len(set(done)) >= len(plan.tile_specs)
+    assert {total for _, _, total in calls} == {plan.report["patches"]}
+    assert calls[-1][1] == plan.report["patches"]
 
 
 def test_signs_across_tiles():
-    """Tiles that contradict each other are turned over until all agree; parts stay apart."""
+    """Tiles with random signs become consistent and outward, for two separate shells."""
     rng = np.random.default_rng(3)
     shells = [rng.normal(size=(1500, 3)) for _ in range(2)]
     shells = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in shells]
@@ -218,18 +223,19 @@ def test_signs_across_tiles():
     true = np.concatenate(shells)
     order = rng.permutation(3000)
     points, true = points[order], true[order]
-    sides = []
-    for cut in cut_tiles(points, 3000, 500)[0]:
-        rows = cut.rows
+    tiles = []
+    for spec in plan_tiles(points, 3000, 500)[0]:
+        rows = spec.rows
         mixed = true[rows] * rng.choice([-1.0, 1.0], (len(rows), 1))
-        core = np.arange(len(rows)) < cut.core
+        core = np.arange(len(rows)) < spec.core
         distances, near = nearest(points[rows])
         near = np.ascontiguousarray(near[:, :12])
-        share = shares(spacing(distances), near)
+        area = surface_areas(spacing(distances), near)
         mixed = mixed.astype(np.float32)
-        answer = points[rows[: cut.core]], mixed[: cut.core], np.arange(cut.core, dtype=np.int32)
-        sides.append(take_sides_by_answer(rows, core, points[rows], mixed, near, share, answer)[0])
-    assert len(sides) > 4
-    for side, signs in zip(sides, signs_of_parts(sides), strict=True):
-        agreed = side.normals * signs[side.parts, None]
-        assert (np.einsum("ij,ij->i", agreed, true[side.rows])[side.core] > 0).mean() > 0.99
+        owner = np.arange(spec.core, dtype=np.int32)
+        output = points[rows[: spec.core]], mixed[: spec.core], owner
+        tiles.append(orient_dense(rows, core, points[rows], mixed, near, area, output)[0])
+    assert len(tiles) > 4
+    for tile, signs in zip(tiles, signs_across_tiles(tiles), strict=True):
+        oriented = tile.normals * signs[tile.parts, None]
+        assert (np.einsum("ij,ij->i", oriented, true[tile.rows])[tile.core] > 0).mean() > 0.99

@@ -5,7 +5,7 @@ import ast
 from pathlib import Path
 
 from pugeo_service.app import create_app
-from pugeo_service.options import UpsampleQuery
+from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.problems import MEDIA_TYPE
 from pugeo_service.settings import Settings
 

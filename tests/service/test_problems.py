@@ -11,20 +11,20 @@ from fastapi import FastAPI
 from starlette.testclient import TestClient
 
 from pugeo_model.errors import (
-    BadOption,
+    BadOptionError,
     CloudError,
-    LimitExceeded,
-    MalformedFile,
-    UnsupportedFormat,
-    UntreatableCloud,
+    LimitExceededError,
+    MalformedFileError,
+    UnsupportedFormatError,
+    UntreatableCloudError,
 )
 from pugeo_service import problems
-from pugeo_service.problems import MEDIA_TYPE, PROBLEM_SCHEMA, Problem
+from pugeo_service.problems import MEDIA_TYPE, PROBLEM_SCHEMA, ProblemError
 
 SCOPE = {"path": "/upsample", "state": {"request_id": "abc"}}
 
 
-def document(problem: Problem) -> dict[str, Any]:
+def document(problem: ProblemError) -> dict[str, Any]:
     """The members that a client reads."""
     response = problem.response(SCOPE)
     assert response.media_type == MEDIA_TYPE
@@ -34,7 +34,7 @@ def document(problem: Problem) -> dict[str, Any]:
 
 def test_the_members() -> None:
     """A problem has all members of the schema, and its own fields beside them."""
-    found = document(Problem(413, "too_large", "Too large.", fields={"limit": 5, "value": 7}))
+    found = document(ProblemError(413, "too_large", "Too large.", fields={"limit": 5, "value": 7}))
     assert set(PROBLEM_SCHEMA["required"]) < set(found)
     assert found == {
         "type": "urn:pugeo:problem:too_large",
@@ -52,23 +52,23 @@ def test_the_members() -> None:
 
 def test_fields_cannot_replace_the_members() -> None:
     """A field called status does not change the status."""
-    assert document(Problem(422, "x", "y", fields={"status": 200}))["status"] == 422
+    assert document(ProblemError(422, "x", "y", fields={"status": 200}))["status"] == 422
 
 
 @pytest.mark.parametrize(
     ("error", "status"),
     [
-        (MalformedFile("bad", code="truncated", expected=4), 400),
-        (LimitExceeded("bad"), 413),
-        (UnsupportedFormat("bad"), 415),
-        (UntreatableCloud("bad"), 422),
-        (BadOption("bad"), 422),
+        (MalformedFileError("bad", code="truncated", expected=4), 400),
+        (LimitExceededError("bad"), 413),
+        (UnsupportedFormatError("bad"), 415),
+        (UntreatableCloudError("bad"), 422),
+        (BadOptionError("bad"), 422),
         (CloudError("bad"), 422),
     ],
 )
 def test_errors_of_the_model(error: CloudError, status: int) -> None:
     """Each kind has its status; code and fields are the model's."""
-    found = document(Problem.from_cloud_error(error))
+    found = document(ProblemError.from_cloud_error(error))
     assert (found["status"], found["code"], found["detail"]) == (status, error.code, "bad")
     assert not found["retryable"]
     assert {key: found[key] for key in error.fields} == error.fields
@@ -77,12 +77,12 @@ def test_errors_of_the_model(error: CloudError, status: int) -> None:
 @pytest.mark.parametrize(("status", "retryable"), [(408, True), (503, True), (504, True)])
 def test_what_may_be_tried_again(status: int, *, retryable: bool) -> None:
     """What is the service's fault may work later."""
-    assert document(Problem(status, "x", "y"))["retryable"] is retryable
+    assert document(ProblemError(status, "x", "y"))["retryable"] is retryable
 
 
 def test_retry_after_is_a_whole_number() -> None:
     """The header takes whole seconds, at least one."""
-    headers = [Problem(503, "x", "y", retry_after=wait).headers for wait in (0.0, 1.2)]
+    headers = [ProblemError(503, "x", "y", retry_after=wait).headers for wait in (0.0, 1.2)]
     assert [h["Retry-After"] for h in headers] == ["1", "2"]
 
 
@@ -138,7 +138,7 @@ def test_an_internal_error_says_nothing() -> None:
 def test_numbers_of_any_kind() -> None:
     """A client may send numbers that no machine word holds; quoting them is no error of ours."""
     fields = {"value": 10**300, "limit": np.int64(7), "mean": float("nan"), "at": np.zeros(2)}
-    response = Problem(422, "bad_option", "No.", fields=fields).response(SCOPE)
+    response = ProblemError(422, "bad_option", "No.", fields=fields).response(SCOPE)
     found = json.loads(bytes(response.body))
     assert found["value"] == 10**300
     assert (found["limit"], found["mean"], found["at"]) == (7, None, [0.0, 0.0])

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import MalformedFile, UnsupportedFormat
+from pugeo_model.errors import MalformedFileError, UnsupportedFormatError
 from pugeo_model.formats import json_points, npy, npz, ply, ply_ascii, xyz
 from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
@@ -84,20 +84,20 @@ def detect(file: IO[bytes], *, name: str | None = None) -> str:
         A key of ``FORMATS``.
 
     Raises:
-        UnsupportedFormat: neither says anything.
-        MalformedFile: the file is empty.
+        UnsupportedFormatError: neither says anything.
+        MalformedFileError: the file is empty.
     """
     here = file.tell()
     head = file.read(_HEAD_BYTES)
     file.seek(here)
     if not head:
-        raise MalformedFile("The file is empty.", code="empty")
+        raise MalformedFileError("The file is empty.", code="empty")
     for key, module in FORMATS.items():
         if module.sniff(head):
             return key
     if name is not None and (found := _by_extension(name)) is not None:
         return found
-    raise UnsupportedFormat(
+    raise UnsupportedFormatError(
         f"The content is of no known format. Readable are {_known()}.",
         formats=list(FORMATS),
     )
@@ -116,9 +116,9 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
         The cloud as the file has it, nothing cleaned, with notes on what was guessed or dropped.
 
     Raises:
-        MalformedFile: the bytes break the rules of the format.
-        UnsupportedFormat: no such format, or none recognised.
-        LimitExceeded: too large.
+        MalformedFileError: the bytes break the rules of the format.
+        UnsupportedFormatError: no such format, or none recognised.
+        LimitExceededError: too large.
         OSError: the path cannot be read.
     """
     module = None if format is None else _named(format)
@@ -138,7 +138,7 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
         format: a key of ``FORMATS``; by the path's extension, else ``"ply"``, where ``None``.
 
     Raises:
-        UnsupportedFormat: no such format, or an extension that belongs to none.
+        UnsupportedFormatError: no such format, or an extension that belongs to none.
         OSError: the path cannot be written.
     """
     if isinstance(target, str | os.PathLike):
@@ -163,12 +163,12 @@ def written_as(path: str | os.PathLike[str]) -> str:
     """The format that `write` takes for a path: by its extension, ``"ply"`` without one.
 
     Raises:
-        UnsupportedFormat: an extension that belongs to none.
+        UnsupportedFormatError: an extension that belongs to none.
     """
     name = os.fspath(path)
     key = _by_extension(name)
     if key is None and Path(name).suffix:
-        raise UnsupportedFormat(
+        raise UnsupportedFormatError(
             f"No format has the extension of {Path(name).name!r}. Writable are {_known()}.",
             formats=list(FORMATS),
         )
@@ -177,7 +177,7 @@ def written_as(path: str | os.PathLike[str]) -> str:
 
 def _named(name: str) -> Format:
     if name not in FORMATS:
-        raise UnsupportedFormat(
+        raise UnsupportedFormatError(
             f"There is no format {name!r}. There are {_known()}.", formats=list(FORMATS)
         )
     return FORMATS[name]

@@ -10,7 +10,7 @@ import orjson
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.limits import Limits
 
@@ -63,9 +63,9 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         limits: ``max_points`` bounds the rows.
 
     Raises:
-        MalformedFile: not JSON, an unknown key, a row that is not three finite numbers, lists
+        MalformedFileError: not JSON, an unknown key, a row that is not three finite numbers, lists
             of different lengths. The message has the place, such as ``$.points[17]``.
-        LimitExceeded: more points than ``limits``.
+        LimitExceededError: more points than ``limits``.
     """
     try:
         document = _documents.decode(file.read().removeprefix(b"\xef\xbb\xbf"))
@@ -193,5 +193,5 @@ def _to_scalar(name: str, raw: msgspec.Raw, count: int, limits: Limits) -> NDArr
     return values
 
 
-def _bad(message: str, **fields: Any) -> MalformedFile:
-    return MalformedFile(message, code="bad_json", **fields)
+def _bad(message: str, **fields: Any) -> MalformedFileError:
+    return MalformedFileError(message, code="bad_json", **fields)

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-from pugeo_model.errors import LimitExceeded
+from pugeo_model.errors import LimitExceededError
 
 __all__ = ["DEFAULT_LIMITS", "Limits"]
 
@@ -28,11 +28,11 @@ class Limits:
         """Refuse a value above the limit called ``name``.
 
         Raises:
-            LimitExceeded: with ``name``, ``limit`` and ``value``.
+            LimitExceededError: with ``name``, ``limit`` and ``value``.
         """
         limit: int = getattr(self, name)
         if value > limit:
-            raise LimitExceeded(
+            raise LimitExceededError(
                 f"{what}: {value:,} is more than the limit of {limit:,}.",
                 name=name,
                 limit=limit,

@@ -17,7 +17,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import CloudError, LimitExceeded, MalformedFile
+from pugeo_model.errors import CloudError, LimitExceededError, MalformedFileError
 from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.limits import Limits
 from pugeo_model.formats.stream import bytes_left
@@ -52,8 +52,8 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         limits: bounds of the file, and of what it unpacks to.
 
     Raises:
-        MalformedFile: truncated, pickled, of a wrong shape or type.
-        LimitExceeded: more points or bytes than ``limits``.
+        MalformedFileError: truncated, pickled, of a wrong shape or type.
+        LimitExceededError: more points or bytes than ``limits``.
     """
     head = file.read(len(NPY_MAGIC))
     file.seek(-len(head), 1)
@@ -129,8 +129,8 @@ class _Declared:
         native = self.dtype.newbyteorder("=")
         return np.ascontiguousarray(values.T if self.fortran else values, native)
 
-    def _truncated(self, found: int) -> MalformedFile:
-        return MalformedFile(
+    def _truncated(self, found: int) -> MalformedFileError:
+        return MalformedFileError(
             f"Array {self.name!r} ({self}) takes {self.size:,} bytes, found {found:,}.",
             code="truncated",
             expected_bytes=self.size,
@@ -249,9 +249,11 @@ def _check_directory(file: IO[bytes], limits: Limits) -> None:
     file.seek(start)
     end = len(tail) - 22 if tail[-22:-18] == b"PK\x05\x06" else tail.rfind(b"PK\x05\x06")
     if end < 0 or len(tail) < end + 22:
-        raise MalformedFile("The zip archive has no end: it may be truncated.", code="truncated")
+        raise MalformedFileError(
+            "The zip archive has no end: it may be truncated.", code="truncated"
+        )
     if tail[max(0, end - 20) : end].startswith(b"PK\x06\x07"):
-        raise LimitExceeded(
+        raise LimitExceededError(
             "Zip archives of more than 4 GiB or 65,535 entries are not read.",
             name="max_bytes",
             limit=min(limits.max_bytes, (1 << 32) - 1),
@@ -287,5 +289,5 @@ def _as_malformed(what: str) -> Iterator[None]:
         raise _bad(f"{what} cannot be read: {error}.") from error
 
 
-def _bad(message: str) -> MalformedFile:
-    return MalformedFile(message, code="bad_array")
+def _bad(message: str) -> MalformedFileError:
+    return MalformedFileError(message, code="bad_array")

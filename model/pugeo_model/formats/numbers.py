@@ -13,7 +13,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.errors import LimitExceeded, MalformedFile
+from pugeo_model.errors import LimitExceededError, MalformedFileError
 from pugeo_model.formats.stream import CHUNK_BYTES
 
 __all__ = ["NumberLines", "Rows"]
@@ -69,8 +69,8 @@ class NumberLines:
         """Read up to ``count`` rows; fewer where a block ends, ``None`` at the end of the file.
 
         Raises:
-            MalformedFile: something is not a number, with its line.
-            LimitExceeded: a line longer than 4 MiB.
+            MalformedFileError: something is not a number, with its line.
+            LimitExceededError: a line longer than 4 MiB.
         """
         block = self._next(count)
         if block is None:
@@ -110,7 +110,7 @@ class NumberLines:
             if self._ended:
                 return False
             if len(self._rest) > _MAX_LINE_BYTES:
-                raise LimitExceeded(
+                raise LimitExceededError(
                     f"Line {self._line} is longer than {_MAX_LINE_BYTES:,} bytes.",
                     name="max_line_bytes",
                     limit=_MAX_LINE_BYTES,
@@ -153,7 +153,7 @@ def _strip_comments(text: bytes) -> bytes:
     return _COMMENT.sub(b"", text[:cut]) + text[cut:]
 
 
-def _not_a_number(text: bytes, line: int) -> MalformedFile:
+def _not_a_number(text: bytes, line: int) -> MalformedFileError:
     """Find the first token that is no number (``line``: where the first row of the text is)."""
     rows = text.split(b"\n")
     while rows and not rows[0].strip():
@@ -167,11 +167,11 @@ def _not_a_number(text: bytes, line: int) -> MalformedFile:
                 plain = False
             if not plain:
                 shown = token[:40].decode("latin-1")
-                return MalformedFile(
+                return MalformedFileError(
                     f"Line {line + offset}: {shown!r} is not a number.",
                     code="not_a_number",
                     line=line + offset,
                 )
-    return MalformedFile(
+    return MalformedFileError(
         f"Something from line {line} on is not a plain number.", code="not_a_number", line=line
     )

@@ -43,7 +43,7 @@ def seekable(source: Source, limits: Limits) -> Iterator[IO[bytes]]:
         limits: ``max_bytes`` bounds the file, and the copy of a pipe.
 
     Raises:
-        LimitExceeded: more than ``max_bytes``.
+        LimitExceededError: more than ``max_bytes``.
         OSError: the path cannot be read.
     """
     if isinstance(source, str | os.PathLike):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.limits import Limits
 from pugeo_model.formats.numbers import NumberLines, Rows
@@ -65,9 +65,9 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         limits: ``max_points`` bounds the rows.
 
     Raises:
-        MalformedFile: something is no number (with its line), rows of different lengths, fewer
+        MalformedFileError: something is no number (with its line), rows of different lengths, fewer
             rows than the count says, decimal commas.
-        LimitExceeded: more points than ``limits``.
+        LimitExceededError: more points than ``limits``.
     """
     start = file.tell()
     head = file.read(_HEAD_BYTES)
@@ -138,7 +138,7 @@ def _names(head: bytes) -> tuple[list[str] | None, int]:
         # A comment such as "# x y z in metres".
         return None, 0
     if not fits:
-        raise MalformedFile(
+        raise MalformedFileError(
             f"The first line names {len(names)} columns, one of them twice, or the rows have "
             "another number of them.",
             code="bad_header",
@@ -150,7 +150,7 @@ def _refuse_decimal_commas(head: bytes) -> None:
     """Refuse ``1,5 2,5 3,5`` and ``1,5;2,5;3,5``, which would read as six columns."""
     for line in re.split(rb"[\r\n]+", head)[:2]:
         if re.match(rb"\s*[+-]?\d+,\d+(\s*;|[ \t]+)[+-]?\d+,\d+\b", line):
-            raise MalformedFile(
+            raise MalformedFileError(
                 "Decimal commas are not read: write 1.5, not 1,5.", code="not_a_number"
             )
 
@@ -158,7 +158,7 @@ def _refuse_decimal_commas(head: bytes) -> None:
 def _count(row: Rows, limits: Limits) -> int:
     value = float(row.values[0])
     if not value.is_integer() or value < 0:
-        raise MalformedFile(
+        raise MalformedFileError(
             f"Line {row.lines[0]}: a single number must be a count of points, not {value:g}.",
             code="bad_row",
             line=int(row.lines[0]),
@@ -181,7 +181,7 @@ def _table(lines: NumberLines, declared: int | None, limits: Limits) -> NDArray[
         if len(wrong) or not 3 <= width <= _MAX_COLUMNS:
             index = int(wrong[0]) if len(wrong) else 0
             line = int(rows.lines[index])
-            raise MalformedFile(
+            raise MalformedFileError(
                 f"Line {line} has {lengths[index]} numbers, expected "
                 f"{width if len(wrong) else f'3 to {_MAX_COLUMNS}'}.",
                 code="bad_row",
@@ -191,7 +191,7 @@ def _table(lines: NumberLines, declared: int | None, limits: Limits) -> NDArray[
         limits.check("max_points", found, "Points of the file, at least")
         blocks.append(rows.values.reshape(-1, width))
     if declared is not None and found < declared:
-        raise MalformedFile(
+        raise MalformedFileError(
             f"The first line counts {declared:,} points, found {found:,}.",
             code="truncated",
             expected_rows=declared,

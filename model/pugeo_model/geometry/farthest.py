@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.geometry.chunks import chunks
+from pugeo_model.geometry.partition import partition
 
 __all__ = ["farthest_points"]
 
@@ -37,7 +37,7 @@ def farthest_points(
         raise ValueError(f"count must lie in 0..{len(points)}, not {count}")
     if count == 0:
         return np.empty(0, dtype=np.int64)
-    parts = chunks(points, _BUCKET)
+    parts = partition(points, _BUCKET)
     order = np.concatenate(parts).astype(np.int64)
     ends = np.cumsum([0, *map(len, parts)])
     sorted_points = np.ascontiguousarray(points[order], dtype=np.float64)

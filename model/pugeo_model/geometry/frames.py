@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Canonical frames: every neighbourhood turned, scaled and bent to look alike.
+"""Canonical frames: local coordinates in which all neighbourhoods look alike.
 
-A frame has rows ``t1, t2, n``. It starts from a Gaussian-weighted PCA, then is tilted twice by the
-slope of a quadric (jet) fitted to the neighbours' heights, the second time with a support that
-widens with the noise the first fit met. Rotation, scale and density are gone before the network
-starts, so no augmentation has to teach them. Lengths in a frame are in units of the local spacing.
+A frame has rows ``t1, t2, n``. It starts from a Gaussian-weighted PCA and is then tilted twice by
+the slope of a quadric fitted to the heights of the neighbours (jet fitting, Cazals and Pouget
+2005); the support of the second fit increases with the noise that the first fit measures. The
+network thus need not learn rotation, scale or density. Lengths in a frame are in local spacings.
 """
 
 from dataclasses import dataclass
@@ -14,27 +14,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.geometry.principal import cross, principal_axes
+from pugeo_model.geometry.pca import cross, principal_axes
 from pugeo_model.geometry.quadric import QUADRIC, fit_quadric
+from pugeo_model.tuning import TUNING
 
 __all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]
 
-_SUPPORT = 1.6  # Gaussian support of the fit in spacings, on clean input
-_WIDEST = 3.0  # on the noisiest: 32 neighbours reach no further
-_NOISE_GAIN = 6.0  # spacings of support per spacing of height residual
-_NOTHING = 30.0  # exponent beyond which a weight is none
-_NOISE_QUANTILE = 0.1
-_CLEAN = 0.06  # residual, in spacings, that curvature alone leaves on clean input
+_SUPPORT = TUNING.fit_support
+_WIDEST = TUNING.fit_support_noisy
+_NOISE_GAIN = TUNING.fit_support_gain
+_LARGEST_EXPONENT = 30.0  # exp(-30) counts as zero
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """One frame a point.
+    """One canonical frame per point.
 
     Attributes:
-        axes: ``(M, 3, 3)`` float32 rotation, rows ``t1, t2, n`` in the world frame.
-        spacing: ``(M,)`` float32, the points' units.
-        quadric: ``(M, 6)`` float32, in the frame, lengths in spacings.
+        axes: ``(M, 3, 3)`` float32 rotations, rows ``t1, t2, n`` in the frame of the cloud.
+        spacing: ``(M,)`` float32, in units of the points.
+        quadric: ``(M, 6)`` float32 coefficients in the frame, lengths in spacings.
         residual: ``(M,)`` float32, weighted RMS height above the quadric, in spacings.
         noise: of the whole cloud, in spacings, see `noise_level`.
     """
@@ -52,18 +51,18 @@ def fit_frames(
     spacing: NDArray[np.float32],
     noise: float | None = None,
 ) -> Frames:
-    """Frames of all points.
+    """Fit the canonical frames of all points.
 
     Args:
         points: ``(M, 3)`` float64.
         neighbours: ``(M, k)`` int32, nearest first.
         spacing: ``(M,)`` float32.
-        noise: the cloud's, where it is known already; measured otherwise.
+        noise: of the whole cloud, in spacings, if known; otherwise measured from these points.
     """
     axes, quadric, residual = _rough_frames(points, neighbours, spacing)
     if noise is None:
         noise = noise_level(residual)
-    support = min(_SUPPORT + _NOISE_GAIN * max(noise - _CLEAN, 0.0), _WIDEST)
+    support = min(_SUPPORT + _NOISE_GAIN * max(noise - TUNING.clean_residual, 0.0), _WIDEST)
     _fine(points, neighbours, spacing, support, axes, quadric, residual)
     return Frames(
         axes.astype(np.float32),
@@ -77,12 +76,15 @@ def fit_frames(
 def rough_residuals(
     points: NDArray[np.float64], neighbours: NDArray[np.int32], spacing: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Residuals ``(m,)``, in spacings, of the ``m`` leading points: what `noise_level` goes by.
+    """Return the residuals of the first fit at the ``m`` leading points, for `noise_level`.
 
     Args:
         points: ``(M, 3)`` float64.
         neighbours: ``(m, k)`` int32 rows of ``points``.
         spacing: ``(m,)`` float32.
+
+    Returns:
+        ``(m,)`` float64, in spacings.
     """
     return _rough_frames(points, neighbours, spacing)[2]
 
@@ -97,20 +99,20 @@ def _rough_frames(
 
 
 def noise_level(residual: NDArray[Any]) -> float:
-    """The noise of a cloud, in spacings, from its residuals ``(M,)``.
+    """Return the noise level of a cloud, in spacings: a low quantile of its residuals ``(M,)``.
 
-    Detail leaves residuals here and there, noise everywhere: so it is what nine in ten exceed.
+    Detail causes residuals at some points, noise at all points, so a low quantile ignores detail.
     """
-    return float(np.quantile(residual, _NOISE_QUANTILE))
+    return float(np.quantile(residual, TUNING.noise_quantile))
 
 
 @njit(cache=True, nogil=True)
 def _rough(points, neighbours, spacing, axes, quadric, residual):  # type: ignore[no-untyped-def]
-    """Principal axes, and the first tilt."""
+    """Principal axes, first fit and first tilt; writes the last three arguments."""
     local, weights = np.empty((3, neighbours.shape[1])), np.empty(neighbours.shape[1])
     system = np.zeros((QUADRIC, QUADRIC))
     for i in range(len(neighbours)):
-        _look(points, neighbours[i], spacing, i, local)
+        _to_local(points, neighbours[i], spacing, i, local)
         _weigh(local, _SUPPORT, weights)
         principal_axes(local, weights, axes[i], system)
         residual[i] = fit_quadric(local, weights, axes[i], system, quadric[i])
@@ -119,12 +121,12 @@ def _rough(points, neighbours, spacing, axes, quadric, residual):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _fine(points, neighbours, spacing, support, axes, quadric, residual):  # type: ignore[no-untyped-def]
-    """The second tilt, signs, and the fit that stays."""
+    """Second fit and tilt, signs, and the final fit; updates the last three arguments."""
     k = neighbours.shape[1]
     local, weights, near = np.empty((3, k)), np.empty(k), np.empty(k)
     system = np.zeros((QUADRIC, QUADRIC))
     for i in range(len(neighbours)):
-        _look(points, neighbours[i], spacing, i, local)
+        _to_local(points, neighbours[i], spacing, i, local)
         _weigh(local, _SUPPORT, near)
         _weigh(local, support, weights)
         fit_quadric(local, weights, axes[i], system, quadric[i])
@@ -134,8 +136,8 @@ def _fine(points, neighbours, spacing, support, axes, quadric, residual):  # typ
 
 
 @njit(cache=True, nogil=True)
-def _look(points, neighbours, spacing, i, local):  # type: ignore[no-untyped-def]
-    """Neighbours as seen from a point, in spacings: ``(3, k)``, for loops along neighbours."""
+def _to_local(points, neighbours, spacing, i, local):  # type: ignore[no-untyped-def]
+    """Offsets of the neighbours from point ``i``, in spacings, into ``local`` ``(3, k)``."""
     scale = 1.0 / spacing[i]
     for j in range(len(neighbours)):
         other = neighbours[j]
@@ -146,10 +148,10 @@ def _look(points, neighbours, spacing, i, local):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _weigh(local, support, weights):  # type: ignore[no-untyped-def]
-    """Gaussian weights of the neighbours, by distance alone: turning a frame leaves them be.
+    """Gaussian weights of the neighbours by distance; a rotation does not change them.
 
-    ``exp(-x)`` as the 64th power of the series of ``exp(-x / 64)``, right to 1e-9: the library's
-    function is called for one number at a time, this is a loop for eight.
+    ``exp(-x)`` is the 64th power of the series of ``exp(-x / 64)``, exact to 1e-9: the compiler
+    vectorises this loop, but not calls of ``exp``.
     """
     inverse = 1.0 / (support * support)
     for j in range(local.shape[1]):
@@ -162,12 +164,12 @@ def _weigh(local, support, weights):  # type: ignore[no-untyped-def]
         z *= z
         z *= z
         z *= z
-        weights[j] = z if x < _NOTHING else 0.0
+        weights[j] = z if x < _LARGEST_EXPONENT else 0.0
 
 
 @njit(cache=True, nogil=True)
 def _tilt(frame, quadric):  # type: ignore[no-untyped-def]
-    """Turn the normal of a frame to that of the fitted quadric at the point."""
+    """Rotate a frame so that its normal is the normal of the fitted quadric at the point."""
     length = 1.0 / np.sqrt(1.0 + quadric[1] * quadric[1] + quadric[2] * quadric[2])
     along = 0.0
     for a in range(3):
@@ -184,7 +186,7 @@ def _tilt(frame, quadric):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _asymmetry(local, weights, frame):  # type: ignore[no-untyped-def]
-    """Mean height of the neighbours, and skew along the first axis, up to positive factors."""
+    """Mean height of the neighbours and skewness along the first axis, up to positive factors."""
     height = skew = 0.0
     for j in range(len(weights)):
         x, y, z, w = local[0, j], local[1, j], local[2, j], weights[j]
@@ -196,7 +198,7 @@ def _asymmetry(local, weights, frame):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fix_signs(local, weights, frame):  # type: ignore[no-untyped-def]
-    """Normal towards the heavier side, first axis towards the longer tail, right-handed."""
+    """Fix the signs: normal towards the mean height, first axis towards the longer tail."""
     height, skew = _asymmetry(local, weights, frame)
     up = -1.0 if height < 0.0 else 1.0
     along = -1.0 if skew < 0.0 else 1.0

@@ -17,7 +17,7 @@ __all__ = [
     "PointPatch",
     "normalise_patch",
     "overlapping_patches",
-    "patches_of",
+    "patch_count",
 ]
 
 PATCH_POINTS = 256
@@ -54,7 +54,7 @@ def normalise_patch(
     return (centred / radius).astype(np.float32), centre, radius
 
 
-def patches_of(count: int) -> int:
+def patch_count(count: int) -> int:
     """Patches that ``count`` points are cut into, up to those that fill gaps."""
     return 1 if count <= PATCH_POINTS else -(-OVERLAP * count // PATCH_POINTS)
 

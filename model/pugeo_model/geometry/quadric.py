@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A quadric (jet) fitted to the heights of weighted neighbours, by ridge regression."""
+"""Fit of a quadric to the heights of weighted neighbours (jet fitting, Cazals and Pouget 2005)."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.tuning import TUNING
+
 __all__ = ["QUADRIC", "fit_quadric"]
 
 QUADRIC = 6
-"""Coefficients ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
+"""Number of coefficients: ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
+
+_RIDGE = TUNING.fit_ridge
 
 
 @njit(cache=True, nogil=True)
@@ -19,23 +23,23 @@ def fit_quadric(
     gram: NDArray[np.float64],
     coefficients: NDArray[np.float64],
 ) -> float:
-    """Ridge fit of the heights of weighted neighbours in a frame.
+    """Fit a quadric by weighted ridge regression.
 
     Args:
-        local: ``(3, k)`` neighbours as seen from the point, which counts with weight 1.
+        local: ``(3, k)`` offsets of the neighbours from the point; the point itself has weight 1.
         weights: ``(k,)``.
         axes: ``(3, 3)`` rows ``t1, t2, n`` of the frame.
-        gram: ``(6, 6)``, overwritten.
-        coefficients: ``(6,)``, gets the quadric.
+        gram: ``(6, 6)`` work space, overwritten.
+        coefficients: ``(6,)``, receives the result.
 
     Returns:
-        The weighted RMS residual.
+        The weighted RMS residual, in units of ``local``.
     """
     total, squares = _gram(local, weights, axes, gram, coefficients)
     e0, e1, e2 = coefficients[0], coefficients[1], coefficients[2]
     e3, e4, e5 = coefficients[3], coefficients[4], coefficients[5]
     for a in range(QUADRIC):
-        gram[a, a] += 0.02 * total / 8.0
+        gram[a, a] += _RIDGE * total / 8.0
     _solve(gram, coefficients)
     squares -= e0 * coefficients[0] + e1 * coefficients[1] + e2 * coefficients[2]
     squares -= e3 * coefficients[3] + e4 * coefficients[4] + e5 * coefficients[5]
@@ -44,9 +48,9 @@ def fit_quadric(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _gram(local, weights, axes, gram, right):  # type: ignore[no-untyped-def]
-    """The normal equations of the fit; returns the sum of weights and of squared heights.
+    """Set up the normal equations; returns the sum of weights and of squared heights.
 
-    Every sum is a name of its own, so that all stay in registers.
+    Each sum is a scalar variable, so that all stay in registers.
     """
     a0, a1, a2 = axes[0, 0], axes[0, 1], axes[0, 2]
     b0, b1, b2 = axes[1, 0], axes[1, 1], axes[1, 2]
@@ -100,13 +104,13 @@ def _gram(local, weights, axes, gram, right):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _solve(matrix, right):  # type: ignore[no-untyped-def]
-    """Cholesky solution of a symmetric positive definite system, in place in ``right``."""
+    """Solve a symmetric positive definite system by Cholesky factorisation, in place."""
     for i in range(QUADRIC):
         for j in range(i + 1):
             total = matrix[i, j]
             for m in range(j):
                 total -= matrix[i, m] * matrix[j, m]
-            # The diagonal keeps inverses: a division is worth ten products.
+            # The diagonal stores inverses, since a division takes as long as ten products.
             if i == j:
                 matrix[i, i] = 1.0 / np.sqrt(max(total, 1e-12))
             else:

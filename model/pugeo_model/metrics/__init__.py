@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a dense cloud is: distances, evenness, normals, against a reference and a mesh."""
+"""Quality of dense clouds: distances, evenness and normals, compared with meshes and samples."""

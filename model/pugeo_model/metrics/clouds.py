@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances between a predicted and a reference cloud, in the unit cube (longest side 1)."""
+"""Distances between a predicted and a reference cloud, both with longest side 1."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,24 +15,32 @@ _GRID = 28
 def nearest_both(
     prediction: NDArray[np.float64], reference: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances from each prediction to its nearest reference, and the other way round."""
+    """Compute the distances from each prediction to the nearest reference, and vice versa.
+
+    Args:
+        prediction: ``(K, 3)``.
+        reference: ``(L, 3)``.
+
+    Returns:
+        ``(K,)`` and ``(L,)``.
+    """
     there, _ = knn(cKDTree(reference), prediction, 1)
     back, _ = knn(cKDTree(prediction), reference, 1)
     return there[:, 0], back[:, 0]
 
 
 def chamfer(there: NDArray[np.float64], back: NDArray[np.float64]) -> float:
-    """CD: half the sum of both mean nearest distances (not squared)."""
+    """Chamfer distance CD: half the sum of both mean nearest distances (not squared)."""
     return float(there.mean() + back.mean()) / 2
 
 
 def hausdorff(there: NDArray[np.float64], back: NDArray[np.float64]) -> float:
-    """HD: the larger of both largest nearest distances."""
+    """Hausdorff distance HD: the larger of both largest nearest distances."""
     return float(max(there.max(), back.max()))
 
 
 def jensen_shannon(prediction: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
-    """JSD of the points' distribution over a 28^3 grid of the unit cube, in bits, 0..1."""
+    """Jensen-Shannon divergence JSD of both densities on a 28^3 grid of the unit cube, 0..1 bit."""
     p, q = _histogram(prediction), _histogram(reference)
     middle = (p + q) / 2
     return (_divergence(p, middle) + _divergence(q, middle)) / 2
@@ -41,7 +49,7 @@ def jensen_shannon(prediction: NDArray[np.float64], reference: NDArray[np.float6
 def sphere_distances(
     prediction: NDArray[np.float64], reference: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """SCD and sHD: sums of mean and of largest squared nearest distances.
+    """Compute sCD and sHD: sums of mean and of largest squared nearest distances.
 
     Each cloud is first centred on its own mean and scaled to radius 1, as in the protocol of
     PU-GAN and its successors.
@@ -58,17 +66,20 @@ def evenness(points: NDArray[np.float64]) -> float:
 
 
 def _histogram(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fractions of the points in the cells of the grid."""
     cell = np.clip(((points + 0.5) * _GRID).astype(np.int64), 0, _GRID - 1)
     flat = (cell[:, 0] * _GRID + cell[:, 1]) * _GRID + cell[:, 2]
     return np.bincount(flat, minlength=_GRID**3) / len(points)
 
 
 def _divergence(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
-    there = p > 0
-    return float((p[there] * np.log2(p[there] / q[there])).sum())
+    """Kullback-Leibler divergence in bits."""
+    occupied = p > 0
+    return float((p[occupied] * np.log2(p[occupied] / q[occupied])).sum())
 
 
 def _to_sphere(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centre on the mean and scale to radius 1."""
     centred = points - points.mean(axis=0)
     scaled: NDArray[np.float64] = centred / np.linalg.norm(centred, axis=1).max()
     return scaled

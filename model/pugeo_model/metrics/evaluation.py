@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures of upsampling methods on fixed samples of shapes that were not trained on."""
+"""Evaluation of upsampling methods on fixed samples of shapes that were not trained on."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
+from pugeo_model.mesh.distance import MeshDistance
+from pugeo_model.mesh.sampling import face_normals, poisson_disk, uniform
 from pugeo_model.metrics.clouds import (
     chamfer,
     evenness,
@@ -22,8 +24,6 @@ from pugeo_model.metrics.clouds import (
     sphere_distances,
 )
 from pugeo_model.metrics.reconstruction import Mesh, reconstruct
-from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.training.corpus import face_normals, poisson_disk, uniform
 
 __all__ = [
     "CASES",
@@ -57,22 +57,22 @@ COLUMNS = (
     "HD#",
     "JSD#",
 )
-"""CD, HD, JSD in 1e-2; P2F, sCD, sHD in 1e-3; normals in degrees, shares of them in percent."""
+"""CD, HD, JSD in 1e-2; P2F, sCD, sHD in 1e-3; normals in degrees, fractions in percent."""
 
 _SURFACE_SAMPLES = 200_000
 
 Method = Callable[[Cloud, float], Cloud]
-"""Input and ratio to a dense cloud."""
+"""An upsampling method: input cloud and ratio -> dense cloud."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table: input samples, ratio, size of the reference.
+    """A kind of input with a ratio and the size of the reference.
 
     Attributes:
         kind: suffix of the input files, ``NAME_kind.ply``.
         ratio: upsampling ratio.
-        reference: points of the reference, ``NAME_reference.ply``.
+        reference: number of points of the reference, ``NAME_reference.ply``.
     """
 
     kind: str
@@ -81,7 +81,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Such as ``5000 x4``."""
+        """Name of the case, such as ``5000 x4``."""
         return f"{self.kind} x{self.ratio}"
 
 
@@ -96,7 +96,7 @@ CASES = (
 
 
 class Truth:
-    """A mesh, its nearest points and its samples.
+    """A true surface: a mesh with nearest points and samples.
 
     Args:
         path: a triangle mesh, longest side 1.
@@ -111,12 +111,12 @@ class Truth:
 
     @cached_property
     def sample(self) -> NDArray[np.float64]:
-        """The 200,000 uniform samples that reconstructed surfaces are compared with."""
+        """200,000 uniform samples, for the comparison with reconstructed surfaces."""
         rng = np.random.default_rng(_SURFACE_SAMPLES)
         return uniform(self.vertices, self.faces, _SURFACE_SAMPLES, rng)
 
     def even(self, count: int) -> Cloud:
-        """An independent Poisson-disk sample with its true normals: what no method can beat."""
+        """Draw an independent Poisson-disk sample with true normals, the ideal result."""
         rng = np.random.default_rng(count)
         points = poisson_disk(self.vertices, self.faces, count, rng)
         _, face, _ = self.distance.nearest(points)
@@ -124,7 +124,7 @@ class Truth:
 
 
 def truths(meshes: Path) -> Iterator[Truth]:
-    """All ``NAME.ply`` of a folder, by name.
+    """Load all ``NAME.ply`` of a folder, in the order of their names.
 
     Raises:
         FileNotFoundError: the folder has none.
@@ -137,14 +137,14 @@ def truths(meshes: Path) -> Iterator[Truth]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What one method made of one input.
+    """The result of a method for one input.
 
     Attributes:
-        case: the input and the ratio.
+        case: kind of input and ratio.
         truth: the shape.
-        row: columns and, of methods, the ``seconds`` taken.
+        row: column -> value; for methods also ``seconds``.
         dense: the dense cloud.
-        surface: the surface reconstructed from it, where that was asked for.
+        surface: the surface reconstructed from it, if requested.
     """
 
     case: Case
@@ -160,11 +160,11 @@ def measure(
     reference: NDArray[np.float64],
     truth: Truth,
 ) -> dict[str, float]:
-    """All columns but those of the reconstructed surface.
+    """Compute all columns but those of the reconstructed surface.
 
     Args:
         points: ``(K, 3)``.
-        normals: ``(K, 3)`` unit; without them their columns are absent.
+        normals: ``(K, 3)`` unit length; without them their columns are absent.
         reference: ``(K, 3)`` even sample of the surface.
         truth: the surface.
     """
@@ -184,7 +184,7 @@ def measure(
     if normals is not None:
         true = truth.normals[face]
         cosine = (normals * true).sum(axis=1)
-        # Not arccos: near 0 degrees it turns float32's last bit into a fiftieth of a degree.
+        # arctan2, since arccos near 0 degrees amplifies float32 rounding to 0.02 degrees.
         angle = np.degrees(
             np.arctan2(np.linalg.norm(np.cross(normals, true), axis=1), np.abs(cosine))
         )
@@ -196,10 +196,10 @@ def measure(
 
 
 def measure_surface(surface: Mesh, truth: Truth) -> dict[str, float]:
-    """CD#, HD#, JSD#: 200,000 samples of a reconstructed surface against as many of the true one.
+    """Compute CD#, HD#, JSD# from 200,000 samples of a reconstructed and of the true surface.
 
-    Samples are independent, so that CD# of a perfect surface is not 0 but what two samples of
-    the same surface have, about half of ``sqrt(area / 200000)``.
+    The samples are independent, so that CD# of a perfect surface is not 0 but about half of
+    ``sqrt(area / 200000)``.
     """
     points = uniform(*surface, _SURFACE_SAMPLES, np.random.default_rng(0))
     there, back = nearest_both(points, truth.sample)
@@ -218,21 +218,21 @@ def evaluate(
     *,
     surfaces: bool = False,
 ) -> Iterator[Measured]:
-    """Measure a method case by case and shape by shape.
+    """Evaluate a method for each case and shape.
 
     Args:
         method: the method.
         shapes: the true surfaces.
         samples: folder with ``inputs/NAME_kind.ply`` and ``gt/NAME_count.ply``.
-        cases: rows wanted.
+        cases: kinds of input and ratios.
         surfaces: reconstruct surfaces and measure these too.
     """
     for case in cases:
         for truth in shapes:
             cloud = read(samples / "inputs" / f"{truth.name}_{case.kind}.ply")
-            begun = time.perf_counter()
+            start = time.perf_counter()
             dense = method(cloud, case.ratio)
-            seconds = time.perf_counter() - begun
+            seconds = time.perf_counter() - start
             row, surface = _measure_both(dense, case, truth, samples, surfaces=surfaces)
             yield Measured(case, truth, {**row, "seconds": seconds}, dense, surface)
 
@@ -244,22 +244,23 @@ def limit(
     *,
     surfaces: bool = False,
 ) -> Iterator[Measured]:
-    """The same for an independent Poisson-disk sample of the true mesh; see :func:`evaluate`.
+    """Evaluate independent Poisson-disk samples of the true meshes; see :func:`evaluate`.
 
-    It does not depend on the input: cases with references of one size share its rows.
+    They do not depend on the input, so that cases with references of one size share their rows.
     """
     for count in dict.fromkeys(case.reference for case in cases):
-        alike = [case for case in cases if case.reference == count]
+        same_size = [case for case in cases if case.reference == count]
         for truth in shapes:
             dense = truth.even(count)
-            row, surface = _measure_both(dense, alike[0], truth, samples, surfaces=surfaces)
-            for case in alike:
+            row, surface = _measure_both(dense, same_size[0], truth, samples, surfaces=surfaces)
+            for case in same_size:
                 yield Measured(case, truth, row, dense, surface)
 
 
 def _measure_both(
     dense: Cloud, case: Case, truth: Truth, samples: Path, *, surfaces: bool
 ) -> tuple[dict[str, float], Mesh | None]:
+    """Measure a dense cloud and, if requested, the surface reconstructed from it."""
     reference = read(samples / "gt" / f"{truth.name}_{case.reference}.ply").points
     points = dense.points.astype(np.float64)
     row = measure(points, dense.normals, reference.astype(np.float64), truth)
@@ -270,5 +271,5 @@ def _measure_both(
 
 
 def mean_row(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Mean over shapes of every column they share."""
+    """Average rows (of shapes) by column; all rows have the columns of the first."""
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces from points and normals: screened Poisson reconstruction (Kazhdan and Hoppe 2013).
+"""Screened Poisson reconstruction of a surface from points and normals (Kazhdan and Hoppe 2013).
 
-The authors' own code does the work, as COLMAP ships it. It takes and gives files and keeps one
-parameter, samples a node, at 1.5. The protocol says 1, which MeshLab's build of the code can: on
-samples of five true shapes with true normals, CD# of the two differs by at most 0.5 % at 80,000
-points and 3 % at 20,000, in either direction.
+The code of the authors is used as part of COLMAP, which reads and writes files and fixes the
+parameter samples per node at 1.5. The evaluation protocol uses 1, as MeshLab can: on samples of
+five true shapes with true normals, CD# of the two differs by at most 0.5 % at 80,000 points and
+3 % at 20,000, in both directions.
 """
 
 from pathlib import Path
@@ -24,16 +24,16 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Vertices ``(V, 3)`` and faces ``(F, 3)``."""
 
 DEPTH = 9
-"""Depth of the octree: the finest cells are a 2^9th of 1.1 times the longest side."""
+"""Depth of the octree: the side of the finest cells is 1.1 times the longest side / 2^9."""
 
-_POINT_WEIGHT = 4.0  # of the screening: how much points pull the surface; the paper's value
+_POINT_WEIGHT = 4.0  # weight of the points in the screening, the value of the paper
 
 
 def library() -> ModuleType:
-    """The library that reconstructs.
+    """Import pycolmap.
 
     Raises:
-        ModuleNotFoundError: it is not installed; the message says what to do.
+        ModuleNotFoundError: it is not installed; the message names the extra to install.
     """
     try:
         import pycolmap
@@ -48,16 +48,16 @@ def library() -> ModuleType:
 def reconstruct(
     points: NDArray[np.floating], normals: NDArray[np.floating], depth: int = DEPTH
 ) -> Mesh:
-    """The surface through oriented points.
+    """Reconstruct the surface through oriented points.
 
     Args:
         points: ``(K, 3)``.
-        normals: ``(K, 3)`` unit, outward; where they point inward the surface folds.
-        depth: of the octree.
+        normals: ``(K, 3)`` unit length, outward.
+        depth: depth of the octree.
 
     Raises:
         ModuleNotFoundError: pycolmap is not installed.
-        RuntimeError: no surface came out, as from points that span none.
+        RuntimeError: the result has no face, as for points that span no surface.
     """
     pycolmap = library()
     options = pycolmap.PoissonMeshingOptions(
@@ -65,7 +65,7 @@ def reconstruct(
         point_weight=_POINT_WEIGHT,
         trim=0.0,
         color=False,
-        num_threads=1,  # more give another mesh every time
+        num_threads=1,  # with more the result is not reproducible
     )
     with TemporaryDirectory() as folder:
         source, target = Path(folder) / "points.ply", Path(folder) / "surface.ply"
@@ -76,8 +76,12 @@ def reconstruct(
         )
         pycolmap.poisson_meshing(source, target, options)
         if not target.exists():
-            raise RuntimeError("screened Poisson reconstruction gave no surface")
+            raise RuntimeError(
+                "screened Poisson reconstruction gave no surface: check that the points span one"
+            )
         vertices, faces = igl.read_triangle_mesh(str(target))
     if not len(faces):
-        raise RuntimeError("screened Poisson reconstruction gave an empty surface")
+        raise RuntimeError(
+            "screened Poisson reconstruction gave an empty surface: check the normals"
+        )
     return vertices.astype(np.float64), faces.astype(np.int64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The evaluation of a model: tables for a person, JSON for a program, means for the model card."""
+"""Evaluation report of a model: Markdown tables, JSON, pictures, means for the model card."""
 
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -26,23 +26,27 @@ from pugeo_model.weights import locate, read_card
 __all__ = ["Rows", "evaluate_all", "means_table", "require"]
 
 Rows = dict[str, dict[str, dict[str, dict[str, float]]]]
-"""Name of the case -> method -> shape -> column -> value."""
+"""Case -> method -> shape -> column -> value."""
 
 _OURS, _LIMIT = "ours", "limit"
 _MEANING = {
     _OURS: "the model",
     _LIMIT: "an independent Poisson-disk sample of the true mesh, with its normals",
-    "plane": "PCA plane of 16 neighbours and our merge, without a network",
-    "jet": "fitted quadric and our merge, without a network",
+    "plane": "PCA plane of 16 neighbours and our selection, without a network",
+    "jet": "fitted quadric and our selection, without a network",
     "poisson": "screened Poisson reconstruction of the input, sampled evenly",
 }
 
 
 def require(*, surfaces: bool, pictures: bool) -> None:
-    """Fail before hours of work, not after them.
+    """Check that the libraries for the requested parts are installed, before the evaluation.
+
+    Args:
+        surfaces: surfaces will be reconstructed.
+        pictures: pictures will be drawn.
 
     Raises:
-        ModuleNotFoundError: a library that the wanted parts need is not installed.
+        ModuleNotFoundError: a library is not installed.
     """
     if surfaces:
         reconstruction.library()
@@ -63,20 +67,20 @@ def evaluate_all(
     card: bool = False,
     tick: Callable[[str, int, int], None] = lambda _label, _done, _total: None,
 ) -> str:
-    """Measure a model and its limit in all cases.
+    """Evaluate a model, the limit and optionally the baselines in all cases.
 
     Args:
-        model: released weights or the path of a ``.safetensors`` file.
+        model: name of released weights or path of a ``.safetensors`` file.
         meshes: folder of ``NAME.ply``, longest side 1.
         samples: folder with ``inputs/`` and ``gt/``.
-        cases: which inputs and ratios.
-        compare: measure methods without learning too; the one that reconstructs surfaces only
-            where its library is installed.
+        cases: kinds of input and ratios.
+        compare: evaluate methods without learning too; the reconstruction only if its library is
+            installed.
         surfaces: reconstruct surfaces from the dense clouds and measure these too.
-        out: where all rows go as JSON.
+        out: JSON file for all rows.
         report: folder for ``report.md``, ``figures.json`` and pictures of the first case.
         card: write the means into the card beside the weights.
-        tick: called with a label, rows done and rows in all.
+        tick: called with a label, the number of completed rows and of all rows.
 
     Returns:
         A Markdown table of means over shapes.
@@ -117,12 +121,12 @@ def evaluate_all(
         (report / "figures.json").write_text(text, "utf-8")
         (report / "report.md").write_text(_document(read_card(model), rows), "utf-8")
     if card:
-        _into_card(locate(model), rows)
+        _write_card(locate(model), rows)
     return means_table(rows)
 
 
 def means_table(rows: Rows) -> str:
-    """Markdown: means over shapes, one line a case and method."""
+    """Return a Markdown table of means over shapes, one line per case and method."""
     return table(
         (
             ((case, source), row)
@@ -141,6 +145,7 @@ def _means(rows: Rows) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _picture(shape: str) -> str:
+    """Path of a picture, relative to the report."""
     return f"pictures/{shape}.png"
 
 
@@ -153,12 +158,12 @@ def _draw(measured: Measured, folder: Path) -> None:
 
 
 def _document(card: dict[str, Any], rows: Rows) -> str:
-    """The report: means, every shape, pictures of the first case."""
+    """Markdown of the report: means, each shape, pictures of the first case."""
     first = next(iter(rows.values()))
     methods = "\n".join(f"- {name}: {_MEANING[name]}" for name in first)
     parts = [
         f"# Quality of {card['name']} {card['version']}",
-        f"Weights with SHA-256 `{card['sha256']}`. Lengths are shares of a shape's longest side.",
+        f"Weights with SHA-256 `{card['sha256']}`. The unit of length is a shape's longest side.",
         LEGEND,
         f"The methods:\n\n{methods}",
         "## Means over shapes",
@@ -177,11 +182,12 @@ def _document(card: dict[str, Any], rows: Rows) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _into_card(path: Path, rows: Rows) -> None:
-    place = path.with_suffix(".json")
-    card: dict[str, Any] = json.loads(place.read_text("utf-8"))
+def _write_card(path: Path, rows: Rows) -> None:
+    """Write the means of the model into the card beside its weights."""
+    card_path = path.with_suffix(".json")
+    card: dict[str, Any] = json.loads(card_path.read_text("utf-8"))
     card["quality"] = {
         case: {name: round(value, 4) for name, value in sources[_OURS].items() if name in COLUMNS}
         for case, sources in _means(rows).items()
     }
-    place.write_text(json.dumps(card, indent=2) + "\n", "utf-8")
+    card_path.write_text(json.dumps(card, indent=2) + "\n", "utf-8")

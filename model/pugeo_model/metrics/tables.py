@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured columns as Markdown tables."""
+"""Markdown tables of measured columns."""
 
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
@@ -20,31 +20,31 @@ _COLUMNS = {
     "HD": _Column("HD", 3, "the larger of both largest nearest distances, 1e-2"),
     "JSD": _Column("JSD", 3, "divergence of the occupancy of a 28^3 grid, 1e-2"),
     "P2F": _Column("P2F", 3, "mean distance to the true surface, 1e-3"),
-    "P2F_std": _Column("P2F std", 3, "its standard deviation, 1e-3"),
+    "P2F_std": _Column("P2F std", 3, "standard deviation of these distances, 1e-3"),
     "sCD": _Column("sCD", 4, "sum of both mean squared distances at radius 1, 1e-3"),
     "sHD": _Column("sHD", 3, "sum of both largest squared distances at radius 1, 1e-3"),
     "normal_mean": _Column("normals", 2, "mean angle to the true normal, sign ignored, degrees"),
     "normal_rms": _Column("normals RMS", 2, "root of the mean squared angle, degrees"),
-    "normal_below_10": _Column("below 10°", 1, "share of normals off by less, percent"),
-    "outward": _Column("outward", 1, "share of normals with the true sign, percent"),
+    "normal_below_10": _Column("below 10°", 1, "normals with a smaller angle, percent"),
+    "outward": _Column("outward", 1, "normals with the true sign, percent"),
     "evenness": _Column("evenness", 3, "variation of nearest-neighbour distances"),
     "CD#": _Column("CD#", 4, "CD of 200,000 points of reconstructed and true surface, 1e-2"),
-    "HD#": _Column("HD#", 3, "their HD, 1e-2"),
-    "JSD#": _Column("JSD#", 3, "their JSD, 1e-2"),
+    "HD#": _Column("HD#", 3, "HD of these points, 1e-2"),
+    "JSD#": _Column("JSD#", 3, "JSD of these points, 1e-2"),
 }
 assert tuple(_COLUMNS) == COLUMNS
 
 LEGEND = "\n".join(f"- {column.heading}: {column.meaning}" for column in _COLUMNS.values())
-"""What each column means, as a Markdown list."""
+"""Meanings of the columns, as a Markdown list."""
 
 
 def table(
     rows: Iterable[tuple[tuple[str, ...], Mapping[str, float]]], labels: tuple[str, ...]
 ) -> str:
-    """Markdown with one line a row; columns that no row has are left out.
+    """Format rows as a Markdown table; columns that no row has are omitted.
 
     Args:
-        rows: cells of the leading columns, and measured columns.
+        rows: cells of the leading columns, and measured columns, of each row.
         labels: headings of the leading columns.
     """
     rows = list(rows)

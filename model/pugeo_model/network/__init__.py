@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network: a backbone for features, PUGeo's four heads for geometry. Pure torch, float32."""
+"""The network: a backbone for features and the four heads of PUGeo-Net for geometry."""

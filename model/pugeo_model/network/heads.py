@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PUGeo's four learned maps: f1 to (u, v), f2 to T, f3 to the displacement, f4 to the normal.
+"""The four heads of PUGeo-Net: f1 (u, v), f2 matrix T, f3 displacement, f4 normal.
 
-All lengths are in units of the local spacing ``s``; ``T`` is relative to the canonical frame.
-Output layers start near zero, so that training starts from the quadric fit and never collapses.
+Lengths are in local spacings; ``T`` is relative to the canonical frame. Output layers start near
+zero, so that training starts from the quadric fit.
 """
 
 import torch
@@ -10,30 +10,29 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.geometry.quadric import QUADRIC
+from pugeo_model.network.kernels.pooling import rectify
 from pugeo_model.network.linear import Linear, Rectified
-from pugeo_model.network.pattern import disk
-from pugeo_model.network.pooling import rectify
+from pugeo_model.network.pattern import DISK_SIDE, disk
 from pugeo_model.network.precision import wide_products
 
-__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "quadric", "spread"]
+__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "combine", "quadric"]
 
 LOG_ERROR = -3.0
-"""Logarithm of the error, in spacings, that an untrained head expects of itself."""
+"""Log of the error, in spacings, that an untrained head predicts."""
 
-_DISK = 0.87  # side, in spacings, of the square as large as one point's share of the surface
 _TERMS = 8  # u, v, u^2, u v, v^2, quadric height and its two slopes
 
 
-def _quiet(layer: Linear) -> Linear:
-    """Scale an output layer down to near silence."""
+def _near_zero(layer: Linear) -> Linear:
+    """Initialise an output layer near zero."""
     with torch.no_grad():
         layer.weight.mul_(0.01)
         layer.bias.zero_()
     return layer
 
 
-def spread(uv: Tensor, basis: Tensor) -> Tensor:
-    """Linear combinations of two vectors: a product of matrices this flat is slow.
+def combine(uv: Tensor, basis: Tensor) -> Tensor:
+    """Compute ``u b_1 + v b_2``; a matrix product with an inner dimension of 2 is slow.
 
     Args:
         uv: ``(n, r, 2)`` or ``(r, 2)``.
@@ -48,7 +47,7 @@ def spread(uv: Tensor, basis: Tensor) -> Tensor:
 
 
 def quadric(coefficients: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
-    """Height and slopes of the fitted quadric without its constant.
+    """Evaluate height and slopes of the fitted quadric, without its constant.
 
     Args:
         coefficients: ``(n, 1, 6)``.
@@ -66,17 +65,17 @@ def quadric(coefficients: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
 class Frame(nn.Module):
     """f2: features to the augmented Jacobian ``T = [Phi_u, Phi_v, Phi_u x Phi_v]`` (eq. 5).
 
-    ``T`` is made orthonormal (Gram-Schmidt of identity plus residual). A free 3x3 shares its
-    scale and rotation with (u, v): trained so, T shrank, (u, v) grew and T^-1 exploded.
+    ``T`` is orthonormal (Gram-Schmidt of identity plus residual). The scale and rotation of a free
+    3x3 matrix are ambiguous with those of (u, v): in training T shrank and T^-1 diverged.
 
     Args:
-        features: channels of ``c_i``.
-        learned: predict T; it is the canonical frame itself otherwise (ablation of Table 3).
+        features: channels of the input.
+        learned: predict T; it is the canonical frame otherwise (ablation of Table 3).
     """
 
     def __init__(self, features: int, *, learned: bool = True) -> None:
         super().__init__()
-        self.out = _quiet(Linear(features, 6)) if learned else None
+        self.out = _near_zero(Linear(features, 6)) if learned else None
         self.register_buffer("identity", torch.eye(3)[:2].flatten(), persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -94,13 +93,14 @@ class Frame(nn.Module):
 class Samples(nn.Module):
     """f1: features to adaptive samples (u, v) (eq. 3), for any number of samples.
 
-    An even disk pattern, times a learned 2x2 stretch, plus a learned residual. The network sees
-    each pattern point, its radius and ``R^-1/2``, so one set of weights serves every ratio.
+    An even disk pattern times a learned 2x2 matrix, plus a learned residual. The input of the
+    residual includes the pattern point, its radius and ``R^-1/2``, so that one set of weights
+    works at any ratio R.
 
     Args:
-        features: channels of ``c_i``.
+        features: channels of the input.
         width: hidden channels.
-        learned: adapt the pattern; every chart has the same otherwise (ablation of Table 3).
+        learned: adapt the pattern; it is the same for all charts otherwise (ablation of Table 3).
     """
 
     def __init__(self, features: int, width: int, *, learned: bool = True) -> None:
@@ -108,20 +108,21 @@ class Samples(nn.Module):
         self.learned = learned
         if not learned:
             return
-        self.stretch = _quiet(Linear(features, 4))
+        self.stretch = _near_zero(Linear(features, 4))
         self.code = Linear(features, width)
         self.pattern = Linear(4, width, bias=False)
         self.hidden = Rectified(width, width)
-        self.out = _quiet(Linear(width, 2))
+        self.out = _near_zero(Linear(width, 2))
         self.register_buffer("identity", torch.eye(2).flatten(), persistent=False)
 
     def forward(self, features: Tensor, count: int) -> Tensor:
         """``(n, features)`` -> ``(n, count, 2)`` in spacings."""
         pattern = torch.from_numpy(disk(count))
         if not self.learned:
-            return (_DISK * pattern).expand(len(features), -1, -1)
+            fixed: Tensor = (DISK_SIDE * pattern).expand(len(features), -1, -1)
+            return fixed
         inverse_root = count**-0.5
-        seen = torch.cat(
+        position = torch.cat(
             [
                 pattern,
                 pattern.norm(dim=-1, keepdim=True),
@@ -131,18 +132,22 @@ class Samples(nn.Module):
         )
         with wide_products():
             stretch = (self.stretch(features).float() + self.identity).unflatten(-1, (2, 2))
-            hidden = rectify(self.code(features).unsqueeze(1) + self.pattern(seen))
+            hidden = rectify(self.code(features).unsqueeze(1) + self.pattern(position))
             hidden = self.hidden(hidden)
             residual = 2.0 * inverse_root * self.out(hidden).float()
-        uv: Tensor = _DISK * (spread(pattern, stretch.mT) + residual)
+        uv: Tensor = DISK_SIDE * (combine(pattern, stretch.mT) + residual)
         return uv
 
 
 class Surface(nn.Module):
     """f3 and f4: displacement along the normal (eq. 7) and normal offset (eq. 8) at any (u, v).
 
-    Also predicts the logarithm of its own error, by which charts are blended and candidates
-    weighed where they disagree.
+    It also predicts the log of its own error, which weights charts and candidates.
+
+    Args:
+        features: channels of the input.
+        width: channels of the first layer.
+        hidden: channels of the second layer.
     """
 
     def __init__(self, features: int, width: int, hidden: int) -> None:
@@ -151,19 +156,26 @@ class Surface(nn.Module):
         self.code = Linear(features, width)
         self.terms = Linear(_TERMS, width, bias=False)
         self.hidden = Rectified(width, hidden)
-        self.out = _quiet(Linear(hidden, 4))
-        self.lift = _quiet(Linear(features, 2))
+        self.out = _near_zero(Linear(hidden, 4))
+        self.lift = _near_zero(Linear(features, 2))
 
     def encode(self, features: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-        """What of a chart its samples need: code ``(n, width)`` and lift ``(n,)``.
+        """Compute the values of a chart that all its samples share.
 
-        The lift raises the whole chart: a share of the quadric's own constant (all of it on
-        noisy input, none where the point is on the surface) plus a free part.
+        The lift is an offset of the whole chart along its normal: a learned fraction of the
+        quadric's constant (1 for noisy input, 0 if the point is on the surface), plus a free part.
+
+        Args:
+            features: ``(n, features)``.
+            coefficients: ``(n, 6)`` float32 quadric.
+
+        Returns:
+            Code ``(n, width)`` and lift ``(n,)`` in spacings.
         """
         with wide_products():
-            share, free = self.lift(features).float().unbind(-1)
+            fraction, free = self.lift(features).float().unbind(-1)
             code = self.code(features)
-        return code, (0.5 + share) * coefficients[:, 0] + free
+        return code, (0.5 + fraction) * coefficients[:, 0] + free
 
     def forward(
         self, code: Tensor, lift: Tensor, coefficients: Tensor, uv: Tensor
@@ -177,8 +189,8 @@ class Surface(nn.Module):
             uv: ``(n, r, 2)`` float32.
 
         Returns:
-            Displacement ``(n, r)``, unit normals in the frame of T ``(n, r, 3)``, and the
-            logarithm of the error expected, in spacings, ``(n, r)``; all float32.
+            Displacement ``(n, r)``, unit normals in the frame of T ``(n, r, 3)``, and the log of
+            the predicted error in spacings ``(n, r)``; all float32.
         """
         assert coefficients.shape[-1] == QUADRIC
         height, slope = quadric(coefficients.unsqueeze(1), uv)

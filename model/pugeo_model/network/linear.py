@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear layers that take one pass where torch takes three, once they serve.
+"""Linear layers with a fused product, bias and ReLU for inference.
 
-In bfloat16 torch first writes the bias into every row of the result, then adds the product to it,
-and rectifies in a pass of its own: a fifth of the network's time, and a tenth. oneDNN does all
-three as the product leaves its registers. Torch's compiler calls it by the operator used here.
+In bfloat16 torch writes the bias into the result, adds the product and applies the ReLU in three
+passes; bias and ReLU take a fifth and a tenth of the time of the network. oneDNN does all in one
+pass by the operator used here, which torch's compiler uses too.
 """
 
 from typing import Any
@@ -11,64 +11,69 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pugeo_model.network.pooling import rectify
+from pugeo_model.network.kernels.pooling import rectify
 from pugeo_model.network.precision import bfloat16_pays
 
-__all__ = ["Linear", "Rectified", "serve"]
+__all__ = ["Linear", "Rectified", "freeze"]
 
-# Torch's own, not its interface: a version or a processor may be without it.
+# A private operator of torch, which may be absent in a version or on a processor.
 _product = getattr(torch.ops.mkldnn, "_linear_pointwise", None)
 
 
 class Linear(nn.Linear):
-    """``x A^T + b``, like torch's own while a gradient is wanted."""
+    """Linear layer ``x A^T + b``; fused if it is frozen and no gradient is needed.
 
-    after = "none"
-    served: tuple[Tensor, Tensor | None] | None = None
+    Attributes:
+        activation: activation of the fused operator.
+        frozen: weight and bias in bfloat16, set by `freeze`.
+    """
+
+    activation = "none"
+    frozen: tuple[Tensor, Tensor | None] | None = None
 
     def forward(self, rows: Tensor) -> Tensor:
         """``(..., in_features)`` -> ``(..., out_features)``."""
-        if self.served is None or torch.is_grad_enabled():
-            return self._trained(rows)
+        if self.frozen is None or torch.is_grad_enabled():
+            return self._unfused(rows)
         assert _product is not None
-        result: Tensor = _product(rows.to(torch.bfloat16), *self.served, self.after, [], "")
+        result: Tensor = _product(rows.to(torch.bfloat16), *self.frozen, self.activation, [], "")
         return result
 
-    def _trained(self, rows: Tensor) -> Tensor:
-        """Torch's three passes: with gradients, and where the one pass is not to be had."""
+    def _unfused(self, rows: Tensor) -> Tensor:
+        """Torch's own layer, for gradients and where the fused operator is absent."""
         return super().forward(rows)
 
 
 class Rectified(Linear):
-    """A linear layer with a ReLU behind it."""
+    """Linear layer followed by a ReLU."""
 
-    after = "relu"
+    activation = "relu"
 
-    def _trained(self, rows: Tensor) -> Tensor:
-        return rectify(super()._trained(rows))
+    def _unfused(self, rows: Tensor) -> Tensor:
+        return rectify(super()._unfused(rows))
 
 
-def serve(net: nn.Module) -> None:
-    """Round the weights of all layers to bfloat16, where it pays, once and not in every call.
+def freeze(net: nn.Module) -> None:
+    """Round the weights of all linear layers to bfloat16 for inference, if that is faster.
 
-    From then on, without gradients, they are taken as they are now.
+    Later changes of the weights have no effect on inference.
     """
-    if not (bfloat16_pays() and _there()):
+    if not (bfloat16_pays() and _fused_product_works()):
         return
     for layer in net.modules():
         if isinstance(layer, Linear):
-            layer.served = _rounded(layer.weight), _rounded(layer.bias)
+            layer.frozen = _rounded(layer.weight), _rounded(layer.bias)
 
 
-def _there() -> bool:
-    """Whether the operator is there and works, by trying it."""
+def _fused_product_works() -> bool:
+    """Try the fused operator."""
     if _product is None:
         return False
-    some = torch.ones(8, 8, dtype=torch.bfloat16)
+    matrix = torch.ones(8, 8, dtype=torch.bfloat16)
     try:
         with torch.inference_mode():
-            _product(some, some, some[0], "relu", [], "")
-    except RuntimeError:  # which torch's errors of missing kernels are, too
+            _product(matrix, matrix, matrix[0], "relu", [], "")
+    except RuntimeError:  # the base class of torch's errors of missing kernels
         return False
     return True
 

@@ -146,10 +146,10 @@ def patch_surfaces(net: PUGeoNetPaper, patch: Any) -> LocalSurfaces:
 @torch.inference_mode()
 def tile_surfaces(net: Any, patch: Any, count: int) -> LocalSurfaces:
     """Local surfaces of the served network at the core points of a :class:`Patch`."""
-    from pugeo_model.network.neighbourhoods import gather
+    from pugeo_model.network.neighbourhoods import stack_patches
 
     core = patch.core
-    charts, uv = net(gather([patch]), torch.from_numpy(patch.frames.quadric[:core]), count)
+    charts, uv = net(stack_patches([patch]), torch.from_numpy(patch.frames.quadric[:core]), count)
     displacement = net.surface(charts.code, charts.lift, charts.quadric, uv)[0]
     spacing = patch.frames.spacing[:core].astype(np.float64)
     axes = patch.frames.axes[:core].astype(np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network as the pipeline calls it: numpy in, numpy out, one patch at a time."""
+"""Interface of the network for the pipeline: numpy arrays, one patch at a time."""
 
 from typing import Any
 
@@ -7,26 +7,23 @@ import numpy as np
 import torch
 
 from pugeo_model.geometry.patches import Patch
-from pugeo_model.merge.atlas import Landed, Landing, PatchCharts
-from pugeo_model.network.heads import spread
-from pugeo_model.network.landing import Lander, settle
-from pugeo_model.network.linear import serve
-from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
-from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
+from pugeo_model.network.heads import combine
+from pugeo_model.network.kernels.projection import Projector, bounded_step
+from pugeo_model.network.linear import freeze
+from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.pugeo import PUGeoNet
+from pugeo_model.resample.atlas import PatchCharts, Projected, ProjectionQuery
+from pugeo_model.tuning import TUNING
 
 __all__ = ["Model"]
 
-# Spacings from its nearest input point that a point may lie at most. The widest holes of an even
-# scan are 0.85 deep; what a chart says beyond is invention: on a LiDAR's far field points flew off.
-_FURTHEST = 1.25
-
 
 class Model:
-    """A network ready to serve.
+    """A network for inference, with frozen weights.
 
-    Patches are taken one at a time, always whole, so results cannot depend on how many are
-    batched or who computes them.
+    Patches are processed one at a time, so that results do not depend on batching or on the
+    process that computes them.
 
     Args:
         net: the network.
@@ -34,25 +31,30 @@ class Model:
     """
 
     def __init__(self, net: PUGeoNet, card: dict[str, Any]) -> None:
-        # First of all, since a lander tries a product out.
+        # Before the first matrix product, which the constructor of the projector makes.
         bound_compiled_products()
         keep_freed_memory()
         self.net = net.eval()
-        serve(self.net)
+        freeze(self.net)
         self.card = card
         self.patch_ratio: int | None = None
-        self._lander = Lander(self.net.surface)
+        self._projector = Projector(self.net.surface)
 
     @torch.inference_mode()
     def charts(self, patch: Patch, count: int) -> PatchCharts:
-        """Charts of the core points and ``count`` candidates from each."""
+        """Predict the charts of the core of a patch.
+
+        Args:
+            patch: the patch.
+            count: candidates per chart.
+        """
         core = patch.core
         frames = patch.frames
         quadric = frames.quadric[:core]
-        charts, uv = self.net(gather([patch]), torch.from_numpy(quadric), count)
-        # On the tangent planes: the pipeline lands them, on their neighbours' charts as well.
+        charts, uv = self.net(stack_patches([patch]), torch.from_numpy(quadric), count)
+        # On the tangent planes (eq. 4); the pipeline projects them onto the blended charts.
         scaled = torch.from_numpy(frames.axes[:core] * frames.spacing[:core, None, None])
-        candidates = spread(uv, charts.T[..., :2].mT @ scaled).numpy()
+        candidates = combine(uv, charts.T[..., :2].mT @ scaled).numpy()
         return PatchCharts(
             rows=patch.rows[:core],
             candidates=candidates.astype(np.float32, copy=False),
@@ -61,10 +63,10 @@ class Model:
             lift=charts.lift.numpy(),
         )
 
-    def land(self, landing: Landing) -> Landed:
-        """Put every spot on the blend of its charts."""
-        step, normals, log_error = self._lander(landing)
-        points = settle(landing, step, _FURTHEST)
-        points[: landing.fixed] = landing.spots[: landing.fixed]
-        nearest = landing.charts[:, 0].copy()
-        return Landed(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)
+    def project(self, query: ProjectionQuery) -> Projected:
+        """Project each query point onto the blend of its charts."""
+        step, normals, log_error = self._projector(query)
+        points = bounded_step(query, step, TUNING.largest_offset)
+        points[: query.fixed] = query.points[: query.fixed]
+        nearest = query.charts[:, 0].copy()
+        return Projected(points, normals, np.exp(np.minimum(log_error, 0.0)), nearest)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a backbone is given: tensors of one or several patches, rows of all patches in one.
+"""Inputs of a backbone: tensors of one or several patches, concatenated along the points.
 
-Neighbours lie along the first dimension: pooling over them is then one contiguous pass a
-neighbour, several times faster than a reduction in the middle.
+Neighbours are the first dimension, so that pooling over them is one contiguous pass per
+neighbour, several times faster than a reduction of a middle dimension.
 
-Points are filled up to multiples of ``_GRAIN`` with points of zeros, whose features nobody asks
-for. Torch compiles a product anew for every number of rows that it has not met, and no two patches
-are alike: that took a quarter of the network's time, and 0.5 GB for what it keeps of each.
+Points are padded with zeros to multiples of ``_GRAIN``; features of the padding are discarded.
+oneDNN compiles a matrix product for each new number of rows, and patches differ in size: without
+padding this took a quarter of the time of the network and 0.5 GB of memory.
 """
 
 from collections.abc import Sequence
@@ -21,19 +21,19 @@ from torch.nn import functional
 
 from pugeo_model.geometry.patches import MESSAGES, Patch, edges, poses, scalars
 
-__all__ = ["Neighbourhoods", "gather"]
+__all__ = ["Neighbourhoods", "stack_patches"]
 
-_GRAIN = 128  # of 64, 128, 256 rows: 3, 4 and 9 % more work, and fewer products to compile
+_GRAIN = 128  # 64, 128, 256 rows add 3, 4, 9 % of work; larger ones need fewer compiled products
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
-    """One round of message passing: ``rows`` receive from ``sources``.
+class MessageRound:
+    """One round of message passing from ``sources`` to ``rows``.
 
     Attributes:
-        rows: ``(n,)`` int64 rows, of the round before, that receive; what fills up is row 0.
-        sources: ``(k, n)`` int64 rows, of the round before, that send.
-        pose: ``(k, n, POSE)`` float32, the sender's frame in the receiver's.
+        rows: ``(n,)`` int64 receiving rows of the previous round; row 0 for the padding.
+        sources: ``(k, n)`` int64 sending rows of the previous round.
+        pose: ``(k, n, POSE)`` float32, frame of the sender relative to that of the receiver.
     """
 
     rows: Tensor
@@ -47,51 +47,55 @@ class Neighbourhoods:
 
     Attributes:
         edges: ``(k, n, 5)`` float32, neighbours in canonical frames, lengths in spacings.
-        scalars: ``(n, 9)`` float32, what the quadric fit knows of each point.
-        rounds: one entry a round of message passing, outermost ring first.
+        scalars: ``(n, 9)`` float32, features of each point from the quadric fit.
+        rounds: rounds of message passing, outermost ring first.
     """
 
     edges: Tensor
     scalars: Tensor
-    rounds: tuple[Round, ...]
+    rounds: tuple[MessageRound, ...]
 
 
-def gather(patches: Sequence[Patch]) -> Neighbourhoods:
-    """Tensors of the patches, put one after the other as one graph, and filled up."""
+def stack_patches(patches: Sequence[Patch]) -> Neighbourhoods:
+    """Convert patches to tensors: one graph of all patches, padded.
+
+    Args:
+        patches: at least one.
+    """
     rounds = []
-    before = [patch.rings[0] for patch in patches]
-    for turn, reach in enumerate(MESSAGES):
-        starts = np.cumsum([0, *before[:-1]])
-        now = [(*p.rings, p.core)[turn + 1] for p in patches]
-        rows = [s + np.arange(n) for s, n in zip(starts, now, strict=True)]
+    senders = [patch.rings[0] for patch in patches]
+    for number, columns in enumerate(MESSAGES):
+        starts = np.cumsum([0, *senders[:-1]])
+        receivers = [(*p.rings, p.core)[number + 1] for p in patches]
+        rows = [s + np.arange(n) for s, n in zip(starts, receivers, strict=True)]
         sources = [
-            s + np.ascontiguousarray(p.neighbours[:n, slice(*reach)].T, dtype=np.int64)
-            for p, s, n in zip(patches, starts, now, strict=True)
+            s + np.ascontiguousarray(p.neighbours[:n, slice(*columns)].T, dtype=np.int64)
+            for p, s, n in zip(patches, starts, receivers, strict=True)
         ]
-        pose = [poses(p, n, reach) for p, n in zip(patches, now, strict=True)]
+        pose = [poses(p, n, columns) for p, n in zip(patches, receivers, strict=True)]
         rounds.append(
-            Round(
-                _filled(_joined(rows), 0),
-                _filled(_joined(sources, axis=1), 1),
-                _filled(_joined(pose, axis=1), 1),
+            MessageRound(
+                _pad(_join(rows), 0),
+                _pad(_join(sources, axis=1), 1),
+                _pad(_join(pose, axis=1), 1),
             )
         )
-        before = now
+        senders = receivers
     return Neighbourhoods(
-        _filled(_joined([edges(p) for p in patches], axis=1), 1),
-        _filled(_joined([scalars(p.frames) for p in patches]), 0),
+        _pad(_join([edges(p) for p in patches], axis=1), 1),
+        _pad(_join([scalars(p.frames) for p in patches]), 0),
         tuple(rounds),
     )
 
 
-def _joined(parts: Sequence[NDArray[Any]], axis: int = 0) -> Tensor:
-    """Arrays one after the other."""
+def _join(parts: Sequence[NDArray[Any]], axis: int = 0) -> Tensor:
+    """Concatenate arrays; a single one is not copied."""
     joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
     return torch.from_numpy(joined)
 
 
-def _filled(tensor: Tensor, axis: int) -> Tensor:
-    """Zeros behind the rows along ``axis``, up to a multiple of the grain."""
+def _pad(tensor: Tensor, axis: int) -> Tensor:
+    """Append zeros along ``axis`` up to a multiple of ``_GRAIN``."""
     missing = -tensor.shape[axis] % _GRAIN
-    behind = [0, 0] * (tensor.dim() - 1 - axis) + [0, missing]
-    return functional.pad(tensor, behind) if missing else tensor
+    widths = [0, 0] * (tensor.dim() - 1 - axis) + [0, missing]
+    return functional.pad(tensor, widths) if missing else tensor

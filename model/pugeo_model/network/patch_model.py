@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from pugeo_model.geometry.overlapping import PointPatch
-from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
+from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.resample.overlap import PatchPoints
 
 __all__ = ["PatchModel"]

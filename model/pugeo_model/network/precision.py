@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where bfloat16 is allowed: the wide products of layers, never geometry.
+"""Use of bfloat16: for the wide matrix products of layers, never for geometry.
 
-Inside a layer bfloat16 halves the time and costs nothing measurable. A rotation or a (u, v) in
-bfloat16 would move points by 0.4 % of a spacing, as much as the error aimed at. A processor without
-instructions for it emulates it, many times slower than float32: so each process tries both once.
+Inside a layer bfloat16 halves the time without a measurable loss. A rotation or a (u, v) in
+bfloat16 would move points by 0.4 % of a spacing, as much as the intended error. Processors without
+instructions for bfloat16 emulate it much more slowly than float32, so each process measures both.
 """
 
 import contextlib
@@ -15,18 +15,15 @@ import torch
 
 __all__ = ["bfloat16_pays", "wide_products"]
 
-_ROWS, _WIDTH = 2048, 160  # of a layer: a patch of points by the channels of each
+_ROWS, _WIDTH = 2048, 160  # size of a typical layer: points of a patch, channels
 _TRIES = 15
-# Emulated, bfloat16 takes several times as long as float32, with instructions of its own less than
-# half: in between nothing is found but chance, and chance must not decide between results.
+# Emulated bfloat16 takes several times as long as float32, native bfloat16 less than half. A limit
+# between the two makes the decision, and so the results, independent of noise in the measurement.
 _SLOW = 1.5
 
 
 def wide_products() -> Any:
-    """Context in which linear layers multiply as this processor does it fastest.
-
-    In bfloat16, accumulating in float32, or in float32 throughout.
-    """
+    """Return a context for linear layers: bfloat16 products with float32 sums, if it is faster."""
     if bfloat16_pays():
         return torch.autocast("cpu", torch.bfloat16)
     return contextlib.nullcontext()
@@ -34,9 +31,9 @@ def wide_products() -> Any:
 
 @functools.cache
 def bfloat16_pays() -> bool:
-    """Whether bfloat16 is not emulated here, by the time that a layer takes: some 10 ms."""
+    """Return whether bfloat16 is native on this processor, from a measurement of about 10 ms."""
     threads = torch.get_num_threads()
-    # Of this thread alone the processor time is known, which no busy machine can lengthen.
+    # With one thread the processor time can be measured, which other processes do not increase.
     torch.set_num_threads(1)
     try:
         with torch.inference_mode():
@@ -46,12 +43,12 @@ def bfloat16_pays() -> bool:
 
 
 def _seconds(kind: torch.dtype) -> float:
-    """The shortest processor time that a layer's product took in some tries."""
+    """Shortest processor time of the product of a layer in several tries."""
     rows = torch.ones(_ROWS, _WIDTH, dtype=kind)
     weight = torch.ones(_WIDTH, _WIDTH, dtype=kind)
     best = float("inf")
     for _ in range(_TRIES):
-        begun = time.thread_time()
+        start = time.thread_time()
         torch.nn.functional.linear(rows, weight)
-        best = min(best, time.thread_time() - begun)
+        best = min(best, time.thread_time() - start)
     return best

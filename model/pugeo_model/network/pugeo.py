@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PUGeo-Net: from neighbourhoods to charts, from charts to points and normals."""
+"""PUGeo-Net: charts from neighbourhoods, points and normals from charts."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,15 +18,15 @@ __all__ = ["Architecture", "Charts", "PUGeoNet", "evaluate"]
 
 @dataclass(frozen=True)
 class Architecture:
-    """What it takes to rebuild a network; stored in the model card.
+    """Backbone and sizes of a network; stored in the model card.
 
     Attributes:
         backbone: name in ``BACKBONES``.
-        features: channels of the per-point feature ``c_i``.
-        options: the backbone's own arguments.
-        head: channels of the surface head; that of the samples has half as many.
-        adaptive_uv, linear_map: learn f1 and f2; without, charts have a fixed pattern of samples,
-            and ``T`` is the canonical frame (ablations of Table 3).
+        features: channels of the point features ``c_i``.
+        options: further arguments of the backbone.
+        head: channels of the surface head; the head of the samples has half as many.
+        adaptive_uv, linear_map: learn f1 and f2; otherwise the samples of all charts are the same,
+            or ``T`` is the canonical frame (ablations of Table 3).
     """
 
     backbone: str = "charts"
@@ -37,13 +37,13 @@ class Architecture:
     linear_map: bool = True
 
     def to_json(self) -> dict[str, Any]:
-        """Plain types only; of the ablations, those that are made."""
+        """Convert to a JSON-able dictionary; without switches that are on."""
         raw = {**asdict(self), "options": dict(self.options)}
         return {name: value for name, value in raw.items() if value is not True}
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Architecture":
-        """The inverse of :meth:`to_json`."""
+        """Convert from the result of :meth:`to_json`."""
         options = tuple(raw["options"].items())
         switches = {name: raw[name] for name in ("adaptive_uv", "linear_map") if name in raw}
         return cls(raw["backbone"], raw["features"], options, raw.get("head", 128), **switches)
@@ -51,13 +51,13 @@ class Architecture:
 
 @dataclass(frozen=True, eq=False)
 class Charts:
-    """The learned local surfaces of ``n`` points; lengths in spacings.
+    """The local parametrisations of ``n`` points; lengths in spacings.
 
     Attributes:
-        T: ``(n, 3, 3)`` float32; columns are the tangents and the coarse normal ``T (0, 0, 1)``,
-            in the canonical frame.
-        code: ``(n, width)``, what the surface head needs of the feature.
-        lift: ``(n,)`` float32.
+        T: ``(n, 3, 3)`` float32 augmented Jacobian (eq. 5); columns are the two tangents and the
+            coarse normal ``T (0, 0, 1)``, in the canonical frame.
+        code: ``(n, width)`` input of the surface head.
+        lift: ``(n,)`` float32 offset of the chart along its normal.
         quadric: ``(n, 6)`` float32.
     """
 
@@ -87,19 +87,19 @@ class PUGeoNet(nn.Module):
         self.surface = Surface(features, head, head // 2)
 
     def forward(self, hoods: Neighbourhoods, quadric: Tensor, count: int) -> tuple[Charts, Tensor]:
-        """Charts of the core points and their adaptive samples.
+        """Predict the charts of the core points and their adaptive samples.
 
         Args:
             hoods: the neighbourhoods.
             quadric: ``(n, 6)`` float32 of the core points.
-            count: samples a chart.
+            count: samples per chart.
 
         Returns:
             The charts and (u, v) ``(n, count, 2)`` float32.
         """
         with wide_products():
             features = self.backbone(hoods)
-        # Rows that only fill up go all the way with the others, see `gather`.
+        # Rows of the padding are computed and discarded, see `stack_patches`.
         core = len(quadric)
         padded = functional.pad(quadric, (0, 0, 0, len(features) - core))
         code, lift = self.surface.encode(features, padded)
@@ -108,7 +108,7 @@ class PUGeoNet(nn.Module):
 
 
 def evaluate(surface: Surface, charts: Charts, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Points and normals of charts at (u, v) (eq. 4, 6 and 8).
+    """Evaluate points and normals of charts at (u, v) (eq. 4, 6 and 8).
 
     ``x = T (u, v, 0) + delta T (0, 0, 1)`` and ``n = T (offset + (0, 0, 1))``, normalised.
 
@@ -119,7 +119,7 @@ def evaluate(surface: Surface, charts: Charts, uv: Tensor) -> tuple[Tensor, Tens
 
     Returns:
         Points ``(n, r, 3)`` and unit normals ``(n, r, 3)`` in the canonical frames, in spacings,
-        and the logarithm of the expected error ``(n, r)``.
+        and the log of the predicted error ``(n, r)``.
     """
     displacement, normal, log_error = surface(charts.code, charts.lift, charts.quadric, uv)
     local = torch.cat([uv, displacement.unsqueeze(-1)], dim=-1)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pugeo_model.cloud import Cloud
 from pugeo_model.network.local_surface import LocalSurfaces, patch_surfaces, tile_surfaces
 from pugeo_model.options import Options
-from pugeo_model.pipeline import prepare, survey
+from pugeo_model.plan import make_plan
+from pugeo_model.prepare import prepare
 from pugeo_model.reproduce.solids import Solid, cube, sphere
 from pugeo_model.weights import load
 
@@ -74,7 +75,9 @@ def local_surfaces(weights: str | Path, points: NDArray[np.float64], ratio: int)
         ValueError: the network does not predict ``T``.
     """
     model: Any = load(weights)
-    plan = survey(Cloud(points), Options(1.0), tile_size=len(points), patch_ratio=model.patch_ratio)
+    plan = make_plan(
+        Cloud(points), Options(1.0), tile_size=len(points), patch_ratio=model.patch_ratio
+    )
     job = prepare(plan.tile(0))
     if model.patch_ratio is None:
         parts = [tile_surfaces(model.net, patch, ratio) for patch in job.patches]
@@ -83,7 +86,7 @@ def local_surfaces(weights: str | Path, points: NDArray[np.float64], ratio: int)
     else:
         parts = [patch_surfaces(model.net, patch) for patch in job.patches]
     names = [field for field in LocalSurfaces.__dataclass_fields__ if field != "rows"]
-    scale = plan.placement.scale
+    scale = plan.normalisation.scale
     rows = np.concatenate([job.order[part.rows] for part in parts])
     found = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
     # T and first derivatives have no unit; second derivatives are per length.

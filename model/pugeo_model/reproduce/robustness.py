@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.neighbours import knn
+from pugeo_model.mesh.sampling import uniform
 from pugeo_model.metrics.clouds import chamfer, nearest_both
 from pugeo_model.metrics.evaluation import Truth
 from pugeo_model.metrics.pictures import upright
-from pugeo_model.render import BACKGROUND, Camera, splat
-from pugeo_model.training.corpus import uniform
+from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 
 __all__ = ["FEW", "NOISE", "Shown", "draw", "few_points", "lidar", "noisy_points"]
 
@@ -136,6 +136,6 @@ def draw(shown: Sequence[Shown], target: Path, pixels: int = 420) -> None:
 def _splat(camera: Camera, points: Floats, normals: Floats | None) -> Floats:
     """Dots without normals; with them a lit surface, whose discs close the gaps."""
     gap, _ = knn(cKDTree(points), points, 2)
-    radius = 0.006 * camera.reach if normals is None else 1.5 * float(np.median(gap[:, 1]))
+    radius = 0.006 * camera.extent if normals is None else 1.5 * float(np.median(gap[:, 1]))
     colors = np.broadcast_to(_CLAY, points.shape)
     return splat(camera, points, colors, radius=radius, normals=normals)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
+from pugeo_model.mesh.sampling import poisson_disk
 from pugeo_model.metrics.evaluation import Truth, mean_row, measure, measure_surface
 from pugeo_model.metrics.reconstruction import reconstruct
-from pugeo_model.training.corpus import poisson_disk
 
 __all__ = ["Row", "RowStore", "Setting", "reference"]
 

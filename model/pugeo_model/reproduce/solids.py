@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.training.corpus import poisson_disk
+from pugeo_model.mesh.sampling import poisson_disk
 
 __all__ = ["Solid", "cube", "sphere"]
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From predicted points to the output points."""
+"""Selection of exactly the requested number of evenly distributed points. No torch."""

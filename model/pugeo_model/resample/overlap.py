@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.farthest import farthest_points
 from pugeo_model.geometry.pca_normals import pca_normals
-from pugeo_model.merge.atlas import Landed
+from pugeo_model.resample.atlas import Projected
 
 __all__ = ["PatchPoints", "merge_overlapping"]
 
@@ -41,7 +41,7 @@ def merge_overlapping(
     wanted: int,
     *,
     keeps_input: bool,
-) -> Landed:
+) -> Projected:
     """Choose the output points among the samples of all patches.
 
     Samples of points outside the core are left to the tile that they belong to. Where the network
@@ -74,7 +74,7 @@ def merge_overlapping(
             assert coarse is not None
             found = np.concatenate([coarse[_most_central(patches, len(points))[own]], found])
     error = np.ones(len(merged), dtype=np.float32)
-    return Landed(merged, found, error, np.concatenate([own, rows[chosen]]))
+    return Projected(merged, found, error, np.concatenate([own, rows[chosen]]))
 
 
 def _joined(parts: Sequence[NDArray[np.float32] | None]) -> NDArray[Any] | None:

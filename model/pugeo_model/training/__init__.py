@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training: from a folder of meshes to released weights and their model card."""
+"""Training of the network on a folder of meshes; produces weights and their model card."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs as sensors give them: even, random, ramped, cut off, in scan lines, noisy."""
+"""Training inputs similar to sensor data: even, random, ramped, cut, in scan lines, noisy."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,15 +16,15 @@ __all__ = ["Mix", "draw"]
 
 @dataclass(frozen=True)
 class Mix:
-    """How often each kind of input is drawn; the rest is clean and even.
+    """Probabilities of the kinds of input; the remainder is clean and even input.
 
     Attributes:
         noisy: even input with Gaussian noise.
-        random: independent samples, half of them with light noise.
-        ramp: density falling to a quarter across the shape.
-        cut: a part occluded.
-        lines: scan lines, two to four times as dense along as across.
-        noise: largest standard deviation, in spacings.
+        random: independent samples, half of them with little noise.
+        ramp: density that falls to a quarter across the shape.
+        cut: shape cut off by a plane.
+        lines: scan lines, two to four times as dense along a line as across.
+        noise: largest standard deviation of the noise, in spacings.
     """
 
     noisy: float = 0.30
@@ -36,12 +36,18 @@ class Mix:
 
 
 def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.float64], float]:
-    """One input cloud of the shape.
+    """Draw one input cloud of a shape.
+
+    The probability of a size is proportional to its square root, since large clouds show more
+    detail.
+
+    Args:
+        shape: the shape.
+        mix: probabilities of the kinds of input.
+        rng: source of random numbers.
 
     Returns:
-        Points ``(M, 3)`` float64 and the standard deviation of their noise, in units of the
-        shape. Large clouds are drawn more often (by the root of their size): they have more to
-        show.
+        Points ``(M, 3)`` float64 and the standard deviation of their noise, in units of the shape.
     """
     size = rng.choice(len(SIZES), p=np.sqrt(SIZES) / np.sqrt(SIZES).sum())
     kind = rng.choice(
@@ -81,14 +87,15 @@ def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.f
 
 
 def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Random unit vector ``(3,)``."""
     vector = rng.normal(size=3)
     return vector / np.linalg.norm(vector)
 
 
 def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Samples near equidistant planes, thinned so that lines are denser along than across."""
+    """Samples near equidistant planes, thinned, so that lines are denser along than across."""
     height = pool @ _direction(rng).astype(np.float32)
-    # Across a thin shape no line at all would fall on some.
+    # Bounded by the height, since no line might hit a thin shape otherwise.
     gap = min(rng.uniform(0.03, 0.06), float(np.ptp(height)) / 4.0)
     near = np.abs((height / gap) % 1.0 - 0.5) < 0.04
     rows = np.flatnonzero(near)
@@ -98,6 +105,6 @@ def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[
 
 
 def _typical_spacing(points: NDArray[np.float64]) -> float:
-    """Root of the area a point has, from distances to 8 neighbours of some points."""
+    """Median spacing (mean distance to 8 neighbours) of about 200 of the points ``(M, 3)``."""
     distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
     return float(np.median(distance[:, 1:].mean(axis=1)))

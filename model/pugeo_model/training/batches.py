@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training batches: patches of drawn inputs and the true surface they stand for."""
+"""Training batches: patches of inputs with samples of the true surface."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import knn, nearest, spacing
-from pugeo_model.geometry.patches import Patch, cut
+from pugeo_model.geometry.patches import Patch, extract_patch
 from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.corpus import Shape
 
@@ -24,29 +24,31 @@ RATIOS: tuple[tuple[int, float, int], ...] = (
     (24, 0.09, 2),
     (32, 0.03, 2),
 )
-"""Samples a chart, how often, and patches a step: the work of a step stays about the same.
+"""Samples per chart, probability, patches per step: all steps have about the same cost.
 
-6 and 24 are what ratios of 4 and 16 take: half as many candidates again as points wanted.
+6 and 24 are the candidates per chart of the ratios 4 and 16, which use 1.5 candidates per output
+point.
 """
 
-_CORE = 256
-_AROUND = 900  # points that hold the core's rings and their neighbours
-_TRUTHS = 1200  # ground-truth samples a patch
-_OWNERS = 6  # nearest inputs of a ground-truth sample, all of which must be core
-_REACHABLE = 1.1  # spacings: what lies further from any input is a hole in the data, not ours
+_CORE = 256  # points in the core of a patch
+_AROUND = 900  # points that contain the rings of the core and their neighbours
+_TRUTHS = 1200  # ground-truth samples per patch
+_OWNERS = 6  # nearest input points of a ground-truth sample, all of which must be in the core
+_LARGEST_GAP = 1.1  # spacings; samples further from any input point are holes in the data
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A patch with its truth.
+    """A patch with samples of the true surface.
 
     Attributes:
         shape: index of the shape.
-        patch: the network's input.
-        truths: ``(G, 3)`` samples of the true surface owned by the patch.
-        owners: ``(G, 6)`` core rows whose charts may cover each.
-        near: ``(core, 12)`` rows of the nearest points of core points, rows >= core are no charts.
-        noise: standard deviation of the input's noise, in mean spacings.
+        patch: input of the network.
+        truths: ``(G, 3)`` float32 samples of the true surface near the core.
+        owners: ``(G, 6)`` core rows of the charts that may cover each sample.
+        near: ``(core, 12)`` rows of the nearest neighbours of core points; rows >= core have no
+            chart.
+        noise: standard deviation of the noise of the input, in mean spacings.
     """
 
     shape: int
@@ -58,13 +60,13 @@ class Sample:
 
 
 class Batches(Dataset[tuple[int, list[Sample]]]):
-    """Batch number ``step``, drawn from ``(seed, step)`` alone: training resumes exactly.
+    """Batches by step; each depends on ``(seed, step)`` only, so that training resumes exactly.
 
     Args:
         shapes: the corpus.
-        mix: kinds of input.
-        seed: of everything drawn.
-        steps: length.
+        mix: probabilities of the kinds of input.
+        seed: seed of all random numbers.
+        steps: number of batches.
     """
 
     def __init__(self, shapes: list[Shape], mix: Mix, seed: int, steps: int) -> None:
@@ -74,13 +76,14 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         return self.steps
 
     def __getitem__(self, step: int) -> tuple[int, list[Sample]]:
-        """The samples a chart has in this step, and the patches."""
+        """Return the number of samples per chart of a step, and its patches."""
         rng = np.random.default_rng([self.seed, step])
-        turn = rng.choice(len(RATIOS), p=[share for _, share, _ in RATIOS])
-        count, _, patches = RATIOS[turn]
+        index = rng.choice(len(RATIOS), p=[probability for _, probability, _ in RATIOS])
+        count, _, patches = RATIOS[index]
         return count, [self._sample(rng) for _ in range(patches)]
 
     def _sample(self, rng: np.random.Generator) -> Sample:
+        """Draw one patch around a random point of a random shape."""
         index = int(rng.integers(len(self.shapes)))
         shape = self.shapes[index]
         points, noise = draw(shape, self.mix, rng)
@@ -91,9 +94,9 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         core_count = min(_CORE, len(points))
         tree = cKDTree(points)
         distance, neighbours = nearest(points)
-        # The outermost points lack neighbours beyond the rim; only far rings ever see them.
+        # The outermost points lack some neighbours; only the outer rings use their frames.
         frames = fit_frames(points, neighbours, spacing(distance))
-        patch = cut(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
+        patch = extract_patch(np.arange(core_count, dtype=np.int32), points, neighbours, frames)
         truths, owners = self._truths(shape, tree, frames, core_count, seed, rng)
         near = patch.neighbours[:core_count, :12].astype(np.int64)
         typical = float(frames.spacing[:core_count].mean())
@@ -108,11 +111,12 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
         seed: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Samples of the true surface near the core, and the charts that may cover each."""
         radius = float(np.linalg.norm(tree.data[core - 1] - seed)) if core else 0.0
         offset = shape.pool - seed.astype(np.float32)
         inside = np.flatnonzero((offset * offset).sum(axis=1) < radius * radius)
         chosen = shape.pool[rng.permutation(inside)[: 2 * _TRUTHS]]
         distance, owners = knn(tree, chosen, _OWNERS)
         owned = (owners < core).all(axis=1)
-        owned &= distance[:, 0] < _REACHABLE * frames.spacing[np.minimum(owners[:, 0], core - 1)]
+        owned &= distance[:, 0] < _LARGEST_GAP * frames.spacing[np.minimum(owners[:, 0], core - 1)]
         return chosen[owned][:_TRUTHS], owners[owned][:_TRUTHS]

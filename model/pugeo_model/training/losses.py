@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The joint loss: coverage, point to surface, coarse and refined normals, blended charts.
+"""Joint loss: coverage, distance to the surface, coarse and refined normals, blended charts.
 
-The paper weighs Chamfer distance and the two normal losses 100, 1, 1 (eq. 12). Chamfer against a
-sample of equal size has a floor set by chance; its two halves are replaced by terms that have
-none: *coverage*, the mean squared distance from the true surface to the nearest prediction (the
-energy of a centroidal tessellation), and *P2F*, the exact distance from a prediction to the mesh.
-All lengths are in units of the local spacing.
+The paper weights Chamfer distance and the two normal losses 100, 1, 1 (eq. 12). The Chamfer
+distance to a random sample of equal size has a random lower bound above zero. Its two halves are
+replaced by terms without such a bound: *coverage*, the mean squared distance from the true surface
+to the nearest prediction, and *P2F*, the exact distance from a prediction to the mesh. All lengths
+are in local spacings.
 
-The paper prints the unoriented normal loss as the *max* over both signs of the true normal
-(eq. 10, 11); only the *min* is an unoriented difference. Its plain length, not its square, is
-taken: near a crease some normals must be wrong by much, and squares would let them rule.
+The paper prints the unoriented normal loss with the *max* over both signs of the true normal
+(eq. 10, 11); only the *min* is an unoriented difference. Its length is used, not its square, since
+squares of the unavoidable large errors at creases would dominate.
 """
 
 from collections.abc import Sequence
@@ -19,35 +19,35 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pugeo_model.merge.atlas import BLENDED
-from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.network.blend import blend
-from pugeo_model.network.neighbourhoods import gather
+from pugeo_model.mesh.distance import MeshDistance
+from pugeo_model.network.neighbourhoods import stack_patches
+from pugeo_model.network.projection import blend
 from pugeo_model.network.pugeo import Charts, PUGeoNet, evaluate
+from pugeo_model.resample.atlas import BLENDED_CHARTS
 from pugeo_model.training.batches import Sample
 from pugeo_model.training.corpus import Shape
 
 __all__ = ["JointLoss", "Weights"]
 
-_SPOTS = 3  # of each chart, at which it is blended with others
+_QUERIES = 3  # points per chart at which it is blended with others
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the terms, and how noise lowers the weight of a patch.
+    """Weights of the terms of the loss, and of noisy patches.
 
     Attributes:
-        coverage: of ``z + z^2 / (1 + z)`` with ``z = R d^2 / s^2`` over true surface samples: holes
-            count double, but those of random inputs, which no chart can reach, do not rule.
-        p2f: of the distance; ``3 R`` times its square, linear beyond 0.1 spacings, is always
-            added, for outliers.
-        coarse_normal: of ``T (0, 0, 1)``.
+        coverage: of ``z + z^2 / (1 + z)`` with ``z = R d^2 / s^2`` at samples of the true
+            surface: holes count twice, but unreachable holes of random inputs do not dominate.
+        p2f: of the distance to the surface; ``3 R`` times its square, linear beyond 0.1 spacings,
+            is added for outliers.
+        coarse_normal: of the coarse normal ``T (0, 0, 1)``.
         refined_normal: of the final normal.
-        blended: of P2F and normals of blended charts; of the latter the less, the less
-            ``refined_normal`` is below 1/6, so that without it nothing supervises normals.
-        confidence: of the regression of each chart's log error.
-        noise: a patch's weight is ``1 / (1 + noise * sigma / s)``: its loss is large whatever
-            the network does, and must not drown the clean ones.
+        blended: of P2F and normals of blended charts; the weight of the latter falls with
+            ``refined_normal`` below 1/6, so that without it no term supervises normals.
+        confidence: of the regression of the log error of each chart.
+        noise: a patch has the weight ``1 / (1 + noise * sigma / s)``, since the loss of noisy
+            patches stays large and would dominate.
     """
 
     coverage: float = 1.0
@@ -60,16 +60,16 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ground:
-    """What the charts of all patches stand on, one patch after the other.
+class _Batch:
+    """Inputs of the loss for all patches, concatenated.
 
     Attributes:
-        core: charts of each patch.
-        start: ``(patches,)`` first row of each.
+        core: number of charts of each patch.
+        start: ``(patches,)`` first row of each patch.
         points, axes, spacing, quadric: of the ``n`` charts, as in ``Patch`` and ``Frames``.
-        trust: ``(n,)`` weight by the noise of the patch.
-        truths: ``(G, 3)`` of all patches.
-        owners: ``(G, 6)`` rows of charts that may cover each.
+        weight: ``(n,)`` weight by the noise of the patch.
+        truths: ``(G, 3)`` samples of the true surfaces.
+        owners: ``(G, 6)`` rows of the charts that may cover each sample.
     """
 
     core: list[int]
@@ -78,12 +78,13 @@ class _Ground:
     axes: Tensor
     spacing: Tensor
     quadric: Tensor
-    trust: Tensor
+    weight: Tensor
     truths: Tensor
     owners: Tensor
 
     @classmethod
-    def of(cls, samples: Sequence[Sample], noise: float) -> "_Ground":
+    def of(cls, samples: Sequence[Sample], noise: float) -> "_Batch":
+        """Concatenate samples; ``noise`` as in `Weights`."""
         core = [sample.patch.core for sample in samples]
         start = np.cumsum([0, *core[:-1]])
         frames = [sample.patch.frames for sample in samples]
@@ -96,7 +97,7 @@ class _Ground:
             axes=_rows([f.axes[:n] for f, n in zip(frames, core, strict=True)]),
             spacing=_rows([f.spacing[:n] for f, n in zip(frames, core, strict=True)]),
             quadric=_rows([f.quadric[:n] for f, n in zip(frames, core, strict=True)]),
-            trust=_rows([np.full(n, 1 / (1 + noise * s.noise)) for s, n in each]),
+            weight=_rows([np.full(n, 1 / (1 + noise * s.noise)) for s, n in each]),
             truths=_rows([sample.truths for sample in samples]),
             owners=torch.from_numpy(np.concatenate(owners)),
         )
@@ -118,50 +119,50 @@ class JointLoss:
     def __call__(
         self, net: PUGeoNet, count: int, samples: Sequence[Sample], rng: np.random.Generator
     ) -> tuple[Tensor, dict[str, float]]:
-        """Scalar loss and its parts, each a mean over the batch.
+        """Compute the scalar loss and its terms, each a mean over the batch.
 
         Args:
             net: the network.
-            count: samples a chart.
+            count: samples per chart.
             samples: the patches.
-            rng: draws the locations at which charts are blended.
+            rng: draws the points at which charts are blended.
         """
         w = self.weights
-        ground = _Ground.of(samples, w.noise)
-        points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
+        batch = _Batch.of(samples, w.noise)
+        points, axes, spacing, weight = batch.points, batch.axes, batch.spacing, batch.weight
 
-        charts, uv = net(gather([sample.patch for sample in samples]), ground.quadric, count)
+        charts, uv = net(stack_patches([sample.patch for sample in samples]), batch.quadric, count)
         local, normals, log_error = evaluate(net.surface, charts, uv)
         cloud = points[:, None] + spacing[:, None, None] * (local @ axes)
         world_normals = normals @ axes
         coarse = (charts.T[..., 2].unsqueeze(1) @ axes).squeeze(1)
 
-        foot, true_normal = self._project(samples, ground.core, cloud.detach())
-        miss = _length(cloud - foot) / spacing[:, None]
-        turn = _unoriented(world_normals, true_normal)
-        coarse_turn = _unoriented(coarse.unsqueeze(1), true_normal)
-        share = trust[:, None] / trust.sum() / count
+        foot, true_normal = self._project(samples, batch.core, cloud.detach())
+        distance = _length(cloud - foot) / spacing[:, None]
+        angle = _unoriented(world_normals, true_normal)
+        coarse_angle = _unoriented(coarse.unsqueeze(1), true_normal)
+        fraction = weight[:, None] / weight.sum() / count
 
-        # Truths of all patches against the charts that may cover them.
-        truths, owners = ground.truths, ground.owners
+        # Samples of the true surface against the charts that may cover them.
+        truths, owners = batch.truths, batch.owners
         with torch.no_grad():
-            apart = (cloud[owners] - truths[:, None, None]).square().sum(-1).flatten(1)
-            best = apart.argmin(dim=1)
-            winner = owners.gather(1, (best // count).unsqueeze(1)).squeeze(1)
-        reached = cloud[winner, best % count]
-        z = count * (reached - truths).square().sum(-1) / spacing[winner].square()
-        held = trust[winner] / trust[winner].sum()
+            squared = (cloud[owners] - truths[:, None, None]).square().sum(-1).flatten(1)
+            best = squared.argmin(dim=1)
+            owner = owners.gather(1, (best // count).unsqueeze(1)).squeeze(1)
+        nearest = cloud[owner, best % count]
+        z = count * (nearest - truths).square().sum(-1) / spacing[owner].square()
+        truth_fraction = weight[owner] / weight[owner].sum()
 
-        expected = (log_error - torch.log(miss.detach() + 0.005)).abs()
+        log_difference = (log_error - torch.log(distance.detach() + 0.005)).abs()
         parts = {
-            "coverage": (held * (z + z.square() / (1.0 + z))).sum(),
-            "p2f": (share * miss).sum(),
-            "outliers": (share * _outlying(miss)).sum(),
-            "coarse_normal": (share * coarse_turn).sum(),
-            "refined_normal": (share * turn).sum(),
-            "confidence": (share * expected).sum(),
+            "coverage": (truth_fraction * (z + z.square() / (1.0 + z))).sum(),
+            "p2f": (fraction * distance).sum(),
+            "outliers": (fraction * _pseudo_huber(distance)).sum(),
+            "coarse_normal": (fraction * coarse_angle).sum(),
+            "refined_normal": (fraction * angle).sum(),
+            "confidence": (fraction * log_difference).sum(),
         }
-        parts |= self._blended(net, charts, samples, ground, cloud, rng)
+        parts |= self._blended(net, charts, samples, batch, cloud, rng)
         total = (
             w.coverage * parts["coverage"]
             + w.p2f * parts["p2f"]
@@ -183,68 +184,73 @@ class JointLoss:
         net: PUGeoNet,
         charts: Charts,
         samples: Sequence[Sample],
-        ground: "_Ground",
+        batch: "_Batch",
         cloud: Tensor,
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
-        """Charts judged where others put their samples: there they are blended when served.
+        """Terms of blended charts, at two kinds of points.
 
-        And where the surface is: what lies on it has to stay, also on a ridge, from which the
-        mean of the charts of both sides would pull it back.
+        Near samples of charts, where charts are blended in inference; and on the true surface,
+        where points must not move, also on a ridge, where the mean of the charts of both sides
+        lies below the surface.
         """
-        points, axes, spacing, trust = ground.points, ground.axes, ground.spacing, ground.trust
-        start, truths, owners = ground.start, ground.truths, ground.owners
+        points, axes, spacing, weight = batch.points, batch.axes, batch.spacing, batch.weight
+        start, truths, owners = batch.start, batch.truths, batch.owners
         near = np.concatenate([s.near + b for s, b in zip(samples, start, strict=True)])
-        ends = np.repeat(start + np.array(ground.core), ground.core)
+        ends = np.repeat(start + np.array(batch.core), batch.core)
         whole = torch.from_numpy(np.flatnonzero((near[:, :8] < ends[:, None]).all(axis=1)))
-        pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), _SPOTS)))
+        pick = torch.from_numpy(rng.integers(cloud.shape[1], size=(len(whole), _QUERIES)))
         jitter = torch.from_numpy(
-            rng.normal(size=(len(whole), _SPOTS, 3), scale=0.1).astype(np.float32)
+            rng.normal(size=(len(whole), _QUERIES, 3), scale=0.1).astype(np.float32)
         )
-        spots = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
+        queries = cloud.detach()[whole[:, None], pick] + jitter * spacing[whole, None, None]
         candidates = torch.cat([whole[:, None], torch.from_numpy(near)[whole, :8]], dim=1)
-        apart = (spots[:, :, None] - points[candidates][:, None]).square().sum(-1)
-        ranks = apart.topk(BLENDED, dim=-1, largest=False).indices
-        chosen = candidates.unsqueeze(1).expand(-1, _SPOTS, -1).gather(2, ranks)
-        held = torch.from_numpy(rng.permutation(len(truths))[: len(whole)])
-        spots = torch.cat([spots.reshape(-1, 3), truths[held]])
-        chosen = torch.cat([chosen.reshape(-1, BLENDED), owners[held, :BLENDED]])
-        owner = torch.cat([whole.repeat_interleave(_SPOTS), owners[held, 0]])
-        # Patch by patch, as their meshes are asked.
+        squared = (queries[:, :, None] - points[candidates][:, None]).square().sum(-1)
+        ranks = squared.topk(BLENDED_CHARTS, dim=-1, largest=False).indices
+        chosen = candidates.unsqueeze(1).expand(-1, _QUERIES, -1).gather(2, ranks)
+        on_surface = torch.from_numpy(rng.permutation(len(truths))[: len(whole)])
+        queries = torch.cat([queries.reshape(-1, 3), truths[on_surface]])
+        chosen = torch.cat(
+            [chosen.reshape(-1, BLENDED_CHARTS), owners[on_surface, :BLENDED_CHARTS]]
+        )
+        owner = torch.cat([whole.repeat_interleave(_QUERIES), owners[on_surface, 0]])
+        # Sorted by patch, since each patch is projected onto its own mesh.
         patch = torch.from_numpy(np.searchsorted(start, owner.numpy(), side="right") - 1)
         order = torch.argsort(patch, stable=True)
-        spots, chosen, owner = spots[order], chosen[order], owner[order]
-        stays = (order >= len(order) - len(held)).unsqueeze(1)
+        queries, chosen, owner = queries[order], chosen[order], owner[order]
+        fixed = (order >= len(order) - len(on_surface)).unsqueeze(1)
         flat = chosen.flatten()
         picked = Charts(charts.T[flat], charts.code[flat], charts.lift[flat], charts.quadric[flat])
-        offsets = spots[:, None] - points[chosen]
+        offsets = queries[:, None] - points[chosen]
         step, normal, _, (steps, log_errors) = blend(
             net.surface, picked, offsets, axes[chosen], spacing[chosen]
         )
-        landed = spots + step
+        projected = queries + step
         counts = torch.bincount(patch, minlength=len(samples)).tolist()
-        foot, true_normal = self._project(samples, counts, landed.detach())
+        foot, true_normal = self._project(samples, counts, projected.detach())
         scale = spacing[owner]
-        share = trust[owner] / trust[owner].sum()
-        miss = _length(landed - torch.where(stays, spots, foot)) / scale
-        turn = _unoriented(normal, true_normal)
-        # One chart alone is judged against the foot's plane: near enough, and a search less.
-        alone = spots[:, None] + steps - foot[:, None]
-        alone = (alone * true_normal[:, None]).sum(-1).abs() / scale[:, None]
-        distance = offsets.square().sum(-1) / spacing[chosen].square()
-        nearby = torch.exp(-distance / 0.64) / BLENDED
-        expected = (log_errors - torch.log(alone.detach() + 0.005)).abs().mean(dim=1)
+        fraction = weight[owner] / weight[owner].sum()
+        distance = _length(projected - torch.where(fixed, queries, foot)) / scale
+        angle = _unoriented(normal, true_normal)
+        # The distance of a single chart is measured to the tangent plane at the foot point, which
+        # is accurate enough and saves a search.
+        single = queries[:, None] + steps - foot[:, None]
+        single = (single * true_normal[:, None]).sum(-1).abs() / scale[:, None]
+        squared = offsets.square().sum(-1) / spacing[chosen].square()
+        nearby = torch.exp(-squared / 0.64) / BLENDED_CHARTS
+        log_difference = (log_errors - torch.log(single.detach() + 0.005)).abs().mean(dim=1)
+        outliers = cloud.shape[1] * _pseudo_huber(distance)
         return {
-            "blended_p2f": (share * (miss + cloud.shape[1] * _outlying(miss))).sum(),
-            "blended_normal": (share * turn).sum(),
-            "chart_p2f": (share * (nearby * alone).sum(dim=1)).sum(),
-            "chart_confidence": (share * expected).sum(),
+            "blended_p2f": (fraction * (distance + outliers)).sum(),
+            "blended_normal": (fraction * angle).sum(),
+            "chart_p2f": (fraction * (nearby * single).sum(dim=1)).sum(),
+            "chart_confidence": (fraction * log_difference).sum(),
         }
 
     def _project(
         self, samples: Sequence[Sample], counts: list[int], cloud: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Feet and face normals on each sample's own mesh, in the shape of ``cloud``."""
+        """Nearest points and face normals on the mesh of each sample, in the shape of ``cloud``."""
         feet, normals = [], []
         for sample, part in zip(samples, cloud.split(counts), strict=True):
             shape = self.shapes[sample.shape]
@@ -259,23 +265,24 @@ class JointLoss:
 
 
 def _rows(arrays: Sequence[np.ndarray]) -> Tensor:
+    """Concatenate arrays to a float32 tensor."""
     return torch.from_numpy(np.concatenate(arrays).astype(np.float32, copy=False))
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """Norm whose gradient at zero is zero, not NaN."""
+    """Euclidean norm whose gradient at zero is zero and not NaN."""
     return torch.sqrt(vectors.square().sum(-1) + 1e-16)
 
 
-def _outlying(miss: Tensor) -> Tensor:
-    """Square of a distance in spacings, going over into a line of the same slope (pseudo-Huber).
+def _pseudo_huber(distance: Tensor) -> Tensor:
+    """Pseudo-Huber loss: about the square up to 0.1 spacings, linear beyond.
 
-    A plain square let a few outliers of each step set the direction of its clipped gradient.
+    With a square, few outliers would determine the direction of the clipped gradient.
     """
-    bend = 0.1
-    return 2.0 * bend * bend * (torch.sqrt(1.0 + (miss / bend).square()) - 1.0)
+    delta = 0.1
+    return 2.0 * delta * delta * (torch.sqrt(1.0 + (distance / delta).square()) - 1.0)
 
 
 def _unoriented(normals: Tensor, truth: Tensor) -> Tensor:
-    """``min(|n - m|, |n + m|)`` of unit vectors: about the angle between them, in radians."""
+    """``min(|n - m|, |n + m|)`` of unit vectors (eq. 10, 11), about their angle in radians."""
     return torch.sqrt(2.0 - 2.0 * (normals * truth).sum(-1).abs().clamp(max=1.0) + 1e-6)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Muon for the matrices inside the network, AdamW for everything else.
+"""Muon (Jordan et al. 2024) for the inner matrices of the network, AdamW for all other weights.
 
-Muon turns the momentum of a matrix into the nearest orthogonal matrix, so that rare directions are
-learned as fast as common ones. It knows nothing of vectors, and layers that read a few numbers or
-write a few have nothing to make orthogonal.
+Muon replaces the momentum of a matrix by the nearest orthogonal matrix, so that rare directions
+are learned as fast as frequent ones. It is not defined for vectors and not useful for layers with
+few inputs or outputs.
 """
 
 from typing import Any
@@ -13,17 +13,17 @@ from torch import nn
 
 __all__ = ["Optimizer"]
 
-_NARROW = 32  # channels below which a layer is an input or an output
-_DECAY = 0.01  # Muon's own weight decay, times the rate as AdamW's
+_NARROW = 32  # layers with fewer channels are trained by AdamW
+_DECAY = 0.01  # weight decay of Muon, multiplied by the learning rate
 
 
 class Optimizer:
-    """Both as one.
+    """Muon and AdamW as one optimizer.
 
     Args:
-        net: what is trained.
-        rate: learning rate; Muon's steps are scaled to be as large as AdamW's.
-        decay: AdamW's weight decay.
+        net: the network to train.
+        rate: learning rate; steps of Muon are scaled to the size of those of AdamW.
+        decay: weight decay of AdamW.
     """
 
     def __init__(self, net: nn.Module, rate: float, decay: float) -> None:
@@ -41,22 +41,22 @@ class Optimizer:
             self._parts.append(muon)
 
     def step(self, rate: float) -> None:
-        """Take a step at this learning rate."""
+        """Update the weights with learning rate ``rate``."""
         for part in self._parts:
             for group in part.param_groups:
                 group["lr"] = rate
             part.step()
 
     def zero_grad(self) -> None:
-        """Forget all gradients."""
+        """Reset all gradients."""
         for part in self._parts:
             part.zero_grad(set_to_none=True)
 
     def state_dict(self) -> list[dict[str, Any]]:
-        """What a checkpoint needs to go on exactly."""
+        """Return the state for a checkpoint."""
         return [part.state_dict() for part in self._parts]
 
     def load_state_dict(self, state: list[dict[str, Any]]) -> None:
-        """The inverse of :meth:`state_dict`."""
+        """Restore the result of :meth:`state_dict`."""
         for part, stored in zip(self._parts, state, strict=True):
             part.load_state_dict(stored)

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.losses import Weights
@@ -38,7 +38,7 @@ def read_recipe(name_or_path: str) -> Recipe:
     A file may name a ``base``, another recipe, and then holds only the differences from it.
 
     Raises:
-        BadOption: no such recipe, or it holds what no recipe has.
+        BadOptionError: no such recipe, or it holds what no recipe has.
     """
     path, raw = _read(name_or_path, _DEPTH)
     values: dict[str, Any] = {}
@@ -52,11 +52,11 @@ def with_ratio(recipe: Recipe, ratio: int) -> Recipe:
     """The recipe of a patch network for another R.
 
     Raises:
-        BadOption: the recipe's network is not made for one R.
+        BadOptionError: the recipe's network is not made for one R.
     """
     options = dict(recipe.architecture.options)
     if "ratio" not in options:
-        raise BadOption("only recipes of patch networks have a ratio", value=ratio)
+        raise BadOptionError("only recipes of patch networks have a ratio", value=ratio)
     options["ratio"] = ratio
     architecture = replace(recipe.architecture, options=tuple(options.items()))
     return replace(recipe, architecture=architecture)
@@ -71,18 +71,18 @@ def _read(name_or_path: str, depth: int) -> tuple[Path, dict[str, Any]]:
         raw = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError:
         known = available_recipes()
-        raise BadOption(
+        raise BadOptionError(
             f"no recipe {name_or_path!r}: give one of {', '.join(known)} or a .toml file",
             value=name_or_path,
             allowed=known,
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadOption(f"{path} is not TOML: {error}", value=name_or_path) from error
+        raise BadOptionError(f"{path} is not TOML: {error}", value=name_or_path) from error
     base = raw.pop("base", None)
     if base is None:
         return path, raw
     if not isinstance(base, str) or depth == 0:
-        raise BadOption(
+        raise BadOptionError(
             f"{path}: base must name a recipe, at most {_DEPTH} after one another", value=base
         )
     return path, _merged(_read(base, depth - 1)[1], raw)
@@ -106,7 +106,7 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
 
 def _table(path: Path, name: str, raw: Any, kind: Any) -> Any:
     if not isinstance(raw, Mapping):
-        raise BadOption(f"{path}: {name} must be a table", value=name)
+        raise BadOptionError(f"{path}: {name} must be a table", value=name)
     values = dict(raw)
     if "options" in values:
         values["options"] = tuple(values["options"].items())
@@ -117,11 +117,12 @@ def _table(path: Path, name: str, raw: Any, kind: Any) -> Any:
 
 
 def _make(path: Path, kind: Any, values: dict[str, Any]) -> Any:
+    """Construct a dataclass; unknown keys are an error."""
     known = [field.name for field in fields(kind)]
     unknown = sorted(set(values) - set(known))
     if unknown:
-        raise BadOption(
-            f"{path}: {unknown[0]!r} is unknown; there are {', '.join(known)}",
+        raise BadOptionError(
+            f"{path}: {unknown[0]!r} is unknown; known keys are {', '.join(known)}",
             value=unknown[0],
             allowed=known,
         )

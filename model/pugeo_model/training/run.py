@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training run from meshes to weights, model card and picture of the curves."""
+"""A complete training run: weights, model card, log and plot of the curves."""
 
 import csv
 import platform
@@ -23,7 +23,12 @@ __all__ = ["load_shapes", "plot_curves", "run"]
 
 
 def load_shapes(folder: Path, tick: Callable[[int, int], None] | None = None) -> list[Shape]:
-    """All shapes of a folder; samples are made once and cached (``$PUGEO_CACHE``)."""
+    """Load all shapes of a folder; samples are computed once and cached (``$PUGEO_CACHE``).
+
+    Args:
+        folder: folder of meshes.
+        tick: called with the number of loaded shapes and of all shapes.
+    """
     files = mesh_files(folder)
     shapes = []
     for done, path in enumerate(files):
@@ -49,17 +54,17 @@ def run(
     Args:
         shapes: training shapes.
         validation: shapes for the validation loss; may be empty.
-        meshes: where the training shapes came from, for the data hash.
-        recipe: what to do.
-        folder: of the run.
-        name: of the weights.
-        recipe_name: what to give ``--recipe`` to repeat the run.
+        meshes: folder of the training shapes, for the data hash.
+        recipe: settings of the run.
+        folder: folder of the run; an existing run there is resumed.
+        name: name of the weights.
+        recipe_name: argument of ``--recipe`` that repeats the run, for the model card.
         every: steps between checkpoints.
-        tick: called with the step and a few words after every step.
+        tick: called after each step with the step and the last losses as text.
     """
     kind = Trainer if recipe.patches is None else PatchTrainer
     trainer = kind(shapes, recipe, folder, validation)
-    words = {"": ""}
+    losses = ""
 
     def write() -> None:
         plot_curves(folder / "log.csv", folder / "curves.png")
@@ -70,19 +75,20 @@ def run(
         )
 
     def report(_step: int, line: dict[str, float]) -> None:
+        nonlocal losses
         shown = {key: line[key] for key in ("loss", "val_loss") if key in line}
-        words[""] = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
+        losses = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
         write()
 
     with _stopped_by_sigterm(trainer):
-        trainer.run(every, report, lambda step: tick(step, words[""]))
-    # Also where nothing was left to train, as after a change of the name.
+        trainer.run(every, report, lambda step: tick(step, losses))
+    # Also if no step was left, as after a change of the name.
     write()
 
 
 @contextmanager
 def _stopped_by_sigterm(trainer: Trainer) -> Iterator[None]:
-    """Let SIGTERM save and end the run after the step in progress."""
+    """Let SIGTERM end the run after the current step, with a checkpoint."""
 
     def stop(_signal: int, _frame: Any) -> None:
         trainer.stopping = True
@@ -95,7 +101,7 @@ def _stopped_by_sigterm(trainer: Trainer) -> Iterator[None]:
 
 
 def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> dict[str, Any]:
-    """What anyone needs to judge and to repeat the weights."""
+    """Describe weights and their training, so that they can be judged and reproduced."""
     recipe = trainer.recipe
     files = mesh_files(meshes)
     return {
@@ -124,10 +130,15 @@ def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> d
 
 
 def licences(meshes: Path, names: set[str]) -> dict[str, int]:
-    """How many training shapes are under which terms.
+    """Count the training shapes by licence.
 
-    Taken from ``MANIFEST.tsv`` beside the folder, whose columns ``name`` and ``licence`` say so;
-    empty where there is none.
+    Args:
+        meshes: folder of the shapes; ``MANIFEST.tsv`` beside it has the columns ``name`` and
+            ``licence``.
+        names: names of the training shapes.
+
+    Returns:
+        Licence -> number of shapes; empty without a manifest.
     """
     manifest = meshes.parent / "MANIFEST.tsv"
     if not manifest.exists():
@@ -139,7 +150,7 @@ def licences(meshes: Path, names: set[str]) -> dict[str, int]:
 
 
 def plot_curves(log: Path, picture: Path) -> None:
-    """Draw the columns of ``log.csv`` over steps, training beside validation."""
+    """Plot the losses in ``log.csv`` over steps, training and validation."""
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 

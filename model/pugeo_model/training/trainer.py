@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The training loop: batches, optimiser, schedule, checkpoints, log."""
+"""Training loop: batches, optimizer, learning rate, checkpoints, log."""
 
 import csv
-import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -14,8 +13,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.build import build_network
-from pugeo_model.network.memory import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
@@ -30,25 +29,24 @@ __all__ = ["Recipe", "Trainer", "learning_rate"]
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that a run depends on besides the corpus.
+    """All settings of a training run besides the corpus.
 
     Attributes:
         architecture: the network.
-        mix: kinds of input.
-        weights: of the loss.
-        steps: length of the run. Raising it and resuming continues the constant phase.
-        rate: learning rate, of both parts of the optimiser.
-        warmup: steps of linear rise.
-        cooldown: share of the steps over which the rate falls to zero at the end.
+        mix: probabilities of the kinds of input.
+        weights: weights of the loss.
+        steps: number of steps. A larger value continues the constant phase of a resumed run.
+        rate: learning rate of both optimizers.
+        warmup: steps of linear increase of the learning rate.
+        cooldown: fraction of the steps, at the end, over which the rate falls to zero.
         decay: weight decay of AdamW.
-        clip: bound on the gradient's norm.
-        seed: of weights, batches and draws.
+        clip: largest norm of the gradient.
+        seed: seed of weights, batches and loss.
         threads: torch threads.
-        patches: where the network upsamples whole patches, see
-            :class:`~pugeo_model.training.patches.settings.PatchSettings`; ``mix`` and ``weights``
-            then have no say.
         start: weights to start from, a released name or a ``.safetensors`` file of this
-            architecture; from chance if ``None``.
+            architecture; random if ``None``.
+        patches: settings of a network that upsamples whole patches; ``mix`` and ``weights`` are
+            not used then. ``None`` for networks that predict charts.
     """
 
     architecture: Architecture = field(default_factory=Architecture)
@@ -62,11 +60,11 @@ class Recipe:
     clip: float = 1.0
     seed: int = 0
     threads: int = 1
-    patches: PatchSettings | None = None
     start: str | None = None
+    patches: PatchSettings | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain types only, for the model card."""
+        """Convert to a JSON-able dictionary, for the model card."""
         raw = {**asdict(self), "architecture": self.architecture.to_json()}
         if self.start is None:
             del raw["start"]
@@ -78,23 +76,30 @@ class Recipe:
 
 
 def learning_rate(recipe: Recipe, step: int) -> float:
-    """Warm-up, constant, then linear to zero: a run can be cut short or extended at will."""
-    fall = int(recipe.steps * (1.0 - recipe.cooldown))
-    rise = min(1.0, (step + 1) / recipe.warmup)
-    left = 1.0 if step < fall else (recipe.steps - step) / max(recipe.steps - fall, 1)
-    return recipe.rate * rise * left
+    """Return the learning rate of a step: warm-up, constant, then linear decrease to zero.
+
+    The constant phase allows a run to be shortened or extended.
+    """
+    constant_end = int(recipe.steps * (1.0 - recipe.cooldown))
+    warmup = min(1.0, (step + 1) / recipe.warmup)
+    remaining = (recipe.steps - step) / max(recipe.steps - constant_end, 1)
+    return recipe.rate * warmup * (1.0 if step < constant_end else remaining)
 
 
 class Trainer:
-    """One training run in one folder.
-
-    Writes ``log.csv``, ``checkpoint.pt`` (resumes exactly) and, through ``weights()``, the network.
+    """A training run in a folder; writes ``log.csv`` and ``checkpoint.pt``, which resumes exactly.
 
     Args:
         shapes: training shapes.
-        recipe: what to do.
-        folder: where to write; an existing checkpoint there is resumed.
-        validation: shapes never trained on, for the validation loss.
+        recipe: settings of the run.
+        folder: folder of the run; an existing checkpoint there is resumed.
+        validation: shapes for the validation loss, which are not trained on.
+
+    Attributes:
+        net: the network.
+        step: number of completed steps.
+        hours: training time so far.
+        stopping: set it to end ``run`` after the current step, with a checkpoint.
     """
 
     def __init__(
@@ -114,7 +119,7 @@ class Trainer:
         self.step = 0
         self.stopping = False
         self.hours = 0.0
-        self.best = math.inf
+
         folder.mkdir(parents=True, exist_ok=True)
         if self._checkpoint.exists():
             self._resume()
@@ -122,7 +127,7 @@ class Trainer:
             start_from(self.net, recipe.start)
 
     def _build(self) -> None:
-        """Make the network, its optimiser and its loss."""
+        """Create the network, its optimizer and its loss."""
         self.net: Any = build_network(self.recipe.architecture)
         self.optimizer = Optimizer(self.net, self.recipe.rate, self.recipe.decay)
         self.loss: Any = JointLoss(self.shapes, self.recipe.weights)
@@ -142,12 +147,12 @@ class Trainer:
         report: Callable[[int, dict[str, float]], None] | None = None,
         tick: Callable[[int], None] | None = None,
     ) -> None:
-        """Train to the end of the recipe, or until ``stopping`` is set: then save and return.
+        """Train to the end of the recipe.
 
         Args:
             every: steps between checkpoints, log lines and validations.
-            report: called with the step and a log line's figures.
-            tick: called after every step.
+            report: called with the step and the values of each log line.
+            tick: called after each step.
         """
         recipe = self.recipe
         loader = DataLoader(
@@ -159,7 +164,7 @@ class Trainer:
             multiprocessing_context="fork",
         )
         sums: dict[str, float] = {}
-        begun = time.monotonic()
+        start = time.monotonic()
         since = self.step
         for batch in loader:
             parts = self._train(batch)
@@ -169,7 +174,7 @@ class Trainer:
             if tick:
                 tick(self.step)
             if self.step % every == 0 or self.step == recipe.steps or self.stopping:
-                self.hours += (time.monotonic() - begun) / 3600
+                self.hours += (time.monotonic() - start) / 3600
                 line = {name: value / (self.step - since) for name, value in sums.items()}
                 line |= self.validate()
                 line |= {"rate": learning_rate(recipe, self.step - 1), "hours": self.hours}
@@ -177,12 +182,19 @@ class Trainer:
                 self._save()
                 if report:
                     report(self.step, line)
-                sums, since, begun = {}, self.step, time.monotonic()
+                sums, since, start = {}, self.step, time.monotonic()
             if self.stopping:
                 break
 
     def validate(self, steps: int = 12) -> dict[str, float]:
-        """Parts of the loss on fixed patches of the validation shapes, clean and even input."""
+        """Compute the loss on fixed patches of the validation shapes, clean and even input.
+
+        Args:
+            steps: number of batches.
+
+        Returns:
+            Means of the loss and of its terms, by name; empty without validation shapes.
+        """
         if not self.validation:
             return {}
         loss = JointLoss(self.validation, self.recipe.weights)
@@ -200,13 +212,14 @@ class Trainer:
         return sums
 
     def _losses(self, batch: Any) -> tuple[Tensor, dict[str, float]]:
-        """Return the loss of a batch and its parts."""
+        """Compute the loss of a batch and its terms."""
         count, samples = batch
         rng = np.random.default_rng([self.recipe.seed, self.step, 1])
         total, parts = self.loss(self.net, count, samples, rng)
         return total, parts
 
     def _train(self, batch: Any) -> dict[str, float]:
+        """Train one step; returns the loss, its terms and the norm of the gradient."""
         total, parts = self._losses(batch)
         self.optimizer.zero_grad()
         total.backward()

@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the work is done: a graph of small tasks for each request, run by worker processes."""
+"""The engine: each request is a graph of small tasks that worker processes run."""
 
 from pugeo_service.engine.engine import Engine
-from pugeo_service.engine.errors import DiskFailed, EngineLost, WorkerLost
-from pugeo_service.engine.order import Order, Outcome, Readable
+from pugeo_service.engine.errors import DiskError, EngineLostError, WorkerLostError
+from pugeo_service.engine.messages import BodyReader, RunRequest, RunResult
 
-__all__ = ["DiskFailed", "Engine", "EngineLost", "Order", "Outcome", "Readable", "WorkerLost"]
+__all__ = [
+    "BodyReader",
+    "DiskError",
+    "Engine",
+    "EngineLostError",
+    "RunRequest",
+    "RunResult",
+    "WorkerLostError",
+]

@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of an answer, from the workers that wrote them to the disk of the front."""
+"""Collection of the bytes of an answer from the workers onto the disk of the front."""
 
 from dataclasses import dataclass
-from typing import Any
 
+from pugeo_service.engine.backend import Handle
 from pugeo_service.engine.dispatch import Dispatch
-from pugeo_service.engine.errors import EngineLost, disk
-from pugeo_service.engine.order import Sheet
-from pugeo_service.shared_file import SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.engine.errors import EngineLostError, disk_errors
+from pugeo_service.engine.messages import OutputInfo
+from pugeo_service.engine.output_stages import read_chunk
+from pugeo_service.engine.values import Output, Prepared
+from pugeo_service.storage.shared_file import SharedFile
+from pugeo_service.storage.spool import Spool
 
 __all__ = ["Collector"]
 
 
 @dataclass(frozen=True)
 class Collector:
-    """Puts all on disk here, so that no worker waits for a slow client.
+    """Puts an answer on disk here, so that no worker waits for a slow client.
 
     Attributes:
         spool: the bytes so far.
-        file: how workers of this machine put bytes there themselves.
+        file: reference to the spool by which workers of this machine write into it.
         tasks: of the request.
     """
 
@@ -27,28 +29,32 @@ class Collector:
     file: SharedFile
     tasks: Dispatch
 
-    async def collect(self, written: Any, sheet: Sheet) -> None:
-        """Append what was written, a chunk at a time: little is in memory whatever the size.
+    async def collect(self, source: Handle[Output] | Handle[Prepared], info: OutputInfo) -> None:
+        """Append bytes in chunks of 8 MiB, so that memory does not grow with the answer.
+
+        Args:
+            source: the answer, a part of it, or a cloud that was upsampled when it was read.
+            info: description of these bytes.
 
         Raises:
-            EngineLost: it is no longer what was told of.
-            DiskFailed: there is no room for it.
+            EngineLostError: the bytes are not those that were described.
+            DiskError: there is no room for them.
         """
-        done = await self._take(sheet.first)
-        while done < sheet.size:
-            handle = self.tasks.submit("chunk", written, done, self.file, self.spool.size)
-            came = await self._take(await self.tasks.fetch(handle))
-            self.tasks.drop([handle])
-            done += came
-            if not came or done > sheet.size:
-                # It was lost with its worker, and another made it anew, of another length.
-                raise EngineLost("a part of the answer changed while it was brought here")
+        done = await self._take(info.first)
+        while done < info.size:
+            handle = self.tasks.submit(read_chunk, source, done, self.file, self.spool.size)
+            count = await self._take(await self.tasks.fetch(handle))
+            self.tasks.drop(handle)
+            done += count
+            if not count or done > info.size:
+                # The worker was lost, and another one made the bytes again with another length.
+                raise EngineLostError("a part of the answer changed while it was brought here")
 
     async def flush(self) -> None:
-        """Find out that the disk has no room before the answer begins."""
-        with disk():
+        """Write buffered bytes: a full disk then shows before the answer begins."""
+        with disk_errors():
             await self.spool.flush()
 
-    async def _take(self, came: bytes | int) -> int:
-        with disk():
-            return await self.spool.take(came)
+    async def _take(self, data: bytes | int) -> int:
+        with disk_errors():
+            return await self.spool.take(data)

@@ -1,217 +1,218 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the tasks of one request reach the workers: when, and on which of them.
+"""Dispatch of the tasks of one request: priority, turns, and the worker that runs each.
 
-Left alone, Dask runs a task where the results are that it needs: all of a request would stay on one
-worker. Parts of a stage are therefore given a place each.
+Left alone, Dask runs a task on the worker that holds its inputs, so that all of a request would
+stay on one worker. Parts of a stage are therefore placed on workers here.
 """
 
 import asyncio
-import functools
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
-from pugeo_service.engine.lanes import LARGE_PATCHES, Lanes
-from pugeo_service.engine.order import Order
-from pugeo_service.engine.pool import Pool, Stage
-from pugeo_service.engine.spread import Haste, Spread
+from pugeo_service.engine import stages
+from pugeo_service.engine.backend import Backend, Handle
+from pugeo_service.engine.bounded_map import BoundedMap, StarvationGuard
+from pugeo_service.engine.messages import RunRequest
+from pugeo_service.engine.scheduling import LARGE_PATCHES, SchedulingPolicy
+from pugeo_service.engine.values import PredictedBatch, Prepared
 
-__all__ = ["Dispatch", "Where"]
+__all__ = ["Dispatch", "WorkerOf"]
 
-Where = Callable[[], str | None]
-"""The worker that has what a task needs, where no other should do it."""
+T = TypeVar("T")
+D = TypeVar("D")
 
-# A cloud that others overtake, and that got nothing done for so long, is helped along.
+WorkerOf = Callable[[], str | None]
+"""Returns the worker that holds a tile, where no other worker should run its tasks."""
+
+# Seconds without progress after which a cloud that others overtake takes a turn.
 _PATIENCE_S = 2.0
 _BACKGROUND_PATIENCE_S = 5.0
-# Patches in one task, where they stay where they are: 0.2 s, which is what a small cloud waits.
-_PART = 3
+# Patches of one task: one where they are carried to other workers; where they stay, three take
+# 0.2 s, which is what a small cloud may have to wait.
+_CARRIED_PATCHES = 1
+_PATCHES_IN_PLACE = 3
 
 
 class Dispatch:
     """The tasks of a request.
 
     Args:
-        pool: where they run.
-        order: what to do.
-        lanes: who goes first among all requests of the engine.
+        backend: runs them.
+        request: to run.
+        policy: decides on the order among all requests of the engine.
     """
 
-    def __init__(self, pool: Pool, order: Order, lanes: Lanes) -> None:
-        self._pool = pool
-        self._order = order
-        self._lanes = lanes
-        self._came = time.monotonic()
-        self._ends = self._came + order.deadline_s
-        self._handles: set[Any] = set()
-        self._places: dict[Any, str] = {}
+    def __init__(self, backend: Backend, request: RunRequest, policy: SchedulingPolicy) -> None:
+        self._backend = backend
+        self._request = request
+        self._policy = policy
+        self._arrived = time.monotonic()
+        self._ends = self._arrived + request.deadline_s
+        self._handles: set[Handle[Any]] = set()
+        self._placed: dict[Handle[Any], str] = {}
 
     def submit(
         self,
-        stage: Stage,
+        stage: Callable[..., T],
         *args: Any,
-        priority: float = Lanes.FIRST,
+        priority: float = SchedulingPolicy.FIRST,
         long: bool = False,
         patches: int = 0,
-        place: str | None = None,
-    ) -> Any:
-        """Queue a task; see ``Pool.submit``."""
+        worker: str | None = None,
+    ) -> Handle[T]:
+        """Queue a task; see ``Backend.submit``."""
         left = self._ends - time.monotonic()
-        handle = self._pool.submit(
-            stage, *args, priority=priority, seconds=left, long=long, patches=patches, place=place
+        handle = self._backend.submit(
+            stage, *args, priority=priority, seconds=left, long=long, patches=patches, worker=worker
         )
         self._handles.add(handle)
         return handle
 
-    async def fetch(self, handle: Any) -> Any:
+    async def fetch(self, handle: Handle[T]) -> T:
         """Wait for a result and bring it here."""
-        return await self._pool.fetch(handle)
+        return await self._backend.fetch(handle)
 
-    def drop(self, handles: list[Any]) -> None:
-        """Let results go that nothing but tasks already submitted needs."""
-        self._pool.release(handles)
+    def drop(self, *handles: Handle[Any]) -> None:
+        """Drop results; tasks already submitted still get them."""
+        self._backend.release(handles)
         self._handles.difference_update(handles)
 
     def cancel(self) -> None:
-        """Let all results go, and drop whatever has not begun yet."""
-        self._pool.cancel(self._handles)
-        # Of parts nobody had begun to wait for, too.
-        for handle in list(self._places):
-            self._over(handle)
+        """Drop all results, and all tasks that have not begun."""
+        self._backend.cancel(self._handles)
+        # Some parts may have nobody who waits for them yet.
+        for handle in list(self._placed):
+            self._unplace(handle)
 
     @property
-    def everyone_is_busy(self) -> bool:
-        """Whether each worker has a request: spreading one over all of them gains nothing then."""
-        return len(self._lanes.requests) >= self._pool.warm_workers
+    def every_worker_is_busy(self) -> bool:
+        """Whether each worker has a request, so that spreading one over all gains nothing."""
+        return len(self._policy.requests) >= self._backend.warm_workers
 
     async def step(
         self,
-        size: int,
-        stage: Stage,
-        describe: Stage,
-        *args: Any,
-        place: str | None = None,
-        asking: tuple[Any, ...] = (),
-    ) -> tuple[Any, Any]:
-        """Run a stage that one worker does alone.
+        patches: int,
+        stage: Callable[..., T],
+        args: tuple[Any, ...],
+        describe: Callable[..., D],
+        describe_args: tuple[Any, ...] = (),
+        *,
+        worker: str | None = None,
+    ) -> tuple[Handle[T], D]:
+        """Run a stage as one task, and bring its description.
 
         Args:
-            size: patches of the cloud.
-            stage: its name.
-            describe: the stage that tells the front of its result.
+            patches: of the cloud, which decide on its priority.
+            stage: function of the stages.
             args: of the stage.
-            place: where to run it; where most of ``args`` are if ``None``.
-            asking: arguments of ``describe`` besides the result.
+            describe: quick stage that describes the result.
+            describe_args: arguments of ``describe`` after the result.
+            worker: to run it; where most of ``args`` are if ``None``.
 
         Returns:
-            The handle of its result, and the description.
+            The handle of the result, and the description.
         """
-        ask = functools.partial(self._ask, stage, args, describe, asking)
-        if size >= LARGE_PATCHES:
-            async with self._lanes.turns:
-                return await ask(Lanes.FIRST, long=True, place=place)
-        if not self._order.background:
-            return await ask(self._priority(size))
+
+        async def run(priority: float, *, long: bool = False) -> tuple[Handle[T], D]:
+            handle = self.submit(stage, *args, priority=priority, long=long, worker=worker)
+            # Queued right away: a question asked later would cost another round trip.
+            described = self.submit(describe, handle, *describe_args)
+            try:
+                return handle, await self._backend.fetch(described)
+            except asyncio.CancelledError:
+                self.drop(handle)
+                raise
+            finally:
+                self.drop(described)
+
+        if patches >= LARGE_PATCHES:
+            async with self._policy.turns:
+                return await run(SchedulingPolicy.FIRST, long=True)
+        if not self._request.background:
+            return await run(self._priority(patches))
         try:
             async with asyncio.timeout(_BACKGROUND_PATIENCE_S):
-                return await ask(self._priority(size))
+                return await run(self._priority(patches))
         except TimeoutError:
-            # It takes about a second once it runs, so it hardly did; and may run twice.
-            return await ask(Lanes.FIRST)
+            # A stage of a small cloud takes about a second once it runs, so it hardly ran.
+            return await run(SchedulingPolicy.FIRST)
 
     async def predict(
         self,
-        prepared: Any,
+        tile: Handle[Prepared],
         patches: int,
-        where: Where = lambda: None,
-        on_done: Callable[[int], object] = lambda _: None,
-    ) -> list[Any]:
-        """Run the patches of a cloud or a tile through the network, in parts.
+        worker_of: WorkerOf,
+        on_done: Callable[[int], object],
+    ) -> list[Handle[PredictedBatch]]:
+        """Run the patches of a tile through the network, in parts.
 
         Args:
-            prepared: handle of it.
-            patches: of it.
-            where: asked for each part: the worker that has ``prepared``, if all is to stay there.
-            on_done: is told how many patches more are done.
+            tile: handle of the prepared tile.
+            patches: of the tile.
+            worker_of: asked for each part: the worker that holds the tile, if all is to stay there.
+            on_done: called with the number of further patches that are done.
 
         Returns:
             The handles of the parts' results, in order.
         """
-        model = self._order.model
+        model = self._request.model
 
         def carried() -> bool:
-            return where() is None and not self.everyone_is_busy
+            return worker_of() is None and not self.every_worker_is_busy
 
-        def submit(start: int, stop: int, priority: float) -> Any:
-            place, count = where(), stop - start
+        def submit(start: int, stop: int, priority: float) -> Handle[PredictedBatch]:
+            worker, count = worker_of(), stop - start
             if carried():
-                place = self._lanes.emptiest(self._pool.places)
-                part = self.submit("cut_patches", prepared, start, stop, priority=priority)
+                worker = self._policy.least_loaded(self._backend.worker_names)
+                part = self.submit(stages.take_patches, tile, start, stop, priority=priority)
                 result = self.submit(
-                    "predict", part, model, priority=priority, patches=count, place=place
+                    stages.predict, part, model, priority=priority, patches=count, worker=worker
                 )
-                self.drop([part])
+                self.drop(part)
             else:
-                span = (prepared, start, stop, model)
                 result = self.submit(
-                    "predict_part", *span, priority=priority, patches=count, place=place
+                    stages.predict_in_place,
+                    tile,
+                    start,
+                    stop,
+                    model,
+                    priority=priority,
+                    patches=count,
+                    worker=worker,
                 )
-            if place is not None:
-                self._lanes.load[place] += 1
-                self._places[result] = place
+            if worker is not None:
+                self._policy.load[worker] += 1
+                self._placed[result] = worker
             return result
 
-        workers = max(1, self._pool.warm_workers)
-        size = self._order.batch_patches
-        # Parts for all workers, where they are carried to them.
-        size = min(size, -(-patches // workers)) if carried() else max(size, _PART)
-        haste = None
-        if self._order.background:
-            haste = Haste(self._lanes.turns, _BACKGROUND_PATIENCE_S, eager=False)
+        guard = None
+        if self._request.background:
+            guard = StarvationGuard(self._policy.turns, _BACKGROUND_PATIENCE_S, eager=False)
         elif patches >= LARGE_PATCHES:
-            haste = Haste(self._lanes.turns, _PATIENCE_S, eager=True)
-        spread = Spread(
+            guard = StarvationGuard(self._policy.turns, _PATIENCE_S, eager=True)
+        parts = BoundedMap(
             patches,
-            max(1, size),
+            _CARRIED_PATCHES if carried() else _PATCHES_IN_PLACE,
             submit=submit,
             wait=self._wait,
-            drop=self.drop,
+            drop=lambda handles: self.drop(*handles),
             on_done=on_done,
         )
-        return await spread.run(2 * workers, self._priority(patches), haste)
+        window = 2 * max(1, self._backend.warm_workers)
+        return await parts.run(window, self._priority(patches), guard)
 
-    async def _wait(self, handle: Any) -> None:
+    async def _wait(self, handle: Handle[Any]) -> None:
         try:
-            await self._pool.wait(handle)
+            await self._backend.wait(handle)
         finally:
-            self._over(handle)
+            self._unplace(handle)
 
-    def _over(self, handle: Any) -> None:
-        if handle in self._places:
-            self._lanes.load[self._places.pop(handle)] -= 1
-
-    async def _ask(
-        self,
-        stage: Stage,
-        args: tuple[Any, ...],
-        describe: Stage,
-        asking: tuple[Any, ...],
-        priority: float,
-        *,
-        long: bool = False,
-        place: str | None = None,
-    ) -> tuple[Any, Any]:
-        handle = self.submit(stage, *args, priority=priority, long=long, place=place)
-        # Queued right away: a question asked later would cost another round trip.
-        described = self.submit(describe, handle, *asking)
-        try:
-            value = await self._pool.fetch(described)
-        except asyncio.CancelledError:
-            self.drop([handle])
-            raise
-        finally:
-            self.drop([described])
-        return handle, value
+    def _unplace(self, handle: Handle[Any]) -> None:
+        if handle in self._placed:
+            self._policy.load[self._placed.pop(handle)] -= 1
 
     def _priority(self, patches: int) -> float:
-        return Lanes.priority(self._came, patches, background=self._order.background)
+        return SchedulingPolicy.priority(
+            self._arrived, patches, background=self._request.background
+        )

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong in the engine that is no fault of the points themselves."""
+"""Errors of the engine that are not caused by the points."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["DiskFailed", "EngineLost", "WorkerLost", "disk"]
+__all__ = ["DiskError", "EngineLostError", "WorkerLostError", "disk_errors"]
 
 
-class WorkerLost(Exception):
+class WorkerLostError(Exception):
     """A task ended its worker process twice: out of memory, out of time, or a crash."""
 
 
-class EngineLost(Exception):
-    """The scheduler or all results on it are gone."""
+class EngineLostError(Exception):
+    """The scheduler, or all results, were lost."""
 
 
-class DiskFailed(Exception):
-    """The disk of the front does not take or give the bytes of a body or an answer.
+class DiskError(Exception):
+    """The disk of the front cannot store or return the bytes of a body or an answer.
 
     Attributes:
-        error: what it said.
+        error: of the operating system.
     """
 
     def __init__(self, error: OSError) -> None:
@@ -28,13 +28,13 @@ class DiskFailed(Exception):
 
 
 @contextmanager
-def disk() -> Iterator[None]:
-    """Tell errors of the disk within the block from those of connections, which look alike.
+def disk_errors() -> Iterator[None]:
+    """Raise errors of the disk within the block as such: errors of connections look alike.
 
     Raises:
-        DiskFailed: an ``OSError`` was raised within.
+        DiskError: an ``OSError`` was raised within.
     """
     try:
         yield
     except OSError as error:
-        raise DiskFailed(error) from error
+        raise DiskError(error) from error

@@ -1,114 +1,135 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stays on the workers between the steps of a request.
+"""Values that stay on the workers between the stages of a request.
 
-Everything of the model's is ``Any``: the front reads these types and must not import what they
-are made of.
+The front reads these types and must load neither torch nor numba, so the model's types are
+imported for type checking only.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-__all__ = ["Agreed", "Carried", "Charted", "Cut", "Finished", "Prepared", "Written"]
+    from pugeo_model.assembly import Agreement
+    from pugeo_model.finish import UpsampledTile
+    from pugeo_model.geometry.patches import Patch
+    from pugeo_model.plan import Plan
+    from pugeo_model.prepare import PreparedTile
+    from pugeo_model.resample.atlas import PatchCharts
+
+__all__ = [
+    "Batches",
+    "DenseTile",
+    "Opaque",
+    "Output",
+    "PatchBatch",
+    "PredictedBatch",
+    "Prepared",
+    "TileAgreements",
+]
+
+T = TypeVar("T")
+
+Batches = list[tuple[float, int]]
+"""Seconds and number of patches of each run through the network."""
 
 
 @dataclass(frozen=True)
-class Carried:
-    """A value of the model's as the whole result of a stage.
+class Opaque(Generic[T]):
+    """A value of the model as the whole result of a stage.
 
-    Dask's client in the front looks up the type of each result: of the model's own it would import
-    the module, and scipy and numba with it.
+    Dask's client in the front imports the type of each result: the model's own types would bring
+    scipy and numba along.
     """
 
-    value: Any
+    value: T
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A cloud that was read, or a tile of one.
+    """A cloud that was read and planned, or one tile of a cloud, prepared.
 
     Attributes:
-        plan: how the cloud is cut; ``None`` for a tile.
-        job: the tile, or the cloud where it is in one piece; ``None`` where it is not.
+        plan: tiles of the cloud; ``None`` of a tile.
+        tile: the tile, or the cloud where it is in one piece; ``None`` of a cloud in tiles.
         seconds: of each stage so far.
-        by_rows: the answer can be written tile by tile.
-        written: the answer, where the cloud was small enough to be done at once.
-        batches: seconds and patches that the network took for a noisy cloud, before it was prepared
-            anew.
+        by_rows: whether the answer can be written tile by tile.
+        output: the answer, where the cloud was small enough for one task.
     """
 
-    plan: Any
-    job: Any
+    plan: Plan | None
+    tile: PreparedTile | None
     seconds: dict[str, float]
     by_rows: bool = False
-    written: "Written | None" = None
-    batches: list[tuple[float, int]] = field(default_factory=list)
+    output: Output | None = None
 
 
 @dataclass(frozen=True)
-class Cut:
-    """Some of the patches of a job."""
+class PatchBatch:
+    """Some patches of a tile, and the candidates wanted from each chart."""
 
-    patches: list[Any]
+    patches: list[Patch]
     candidates: int
 
 
 @dataclass(frozen=True)
-class Charted:
-    """Patches that went through the network."""
+class PredictedBatch:
+    """Charts of some patches, and the seconds that the network took for them."""
 
-    charts: list[Any]
+    charts: list[PatchCharts]
     seconds: float
 
 
 @dataclass(frozen=True)
-class Finished:
+class DenseTile:
     """The dense points of a tile.
 
     Attributes:
-        piece: the points.
+        tile: the points.
         seconds: of each stage since the network.
-        batches: seconds and patches that the network took for it.
+        batches: of the network.
     """
 
-    piece: Any
+    tile: UpsampledTile
     seconds: dict[str, float]
-    batches: list[tuple[float, int]]
+    batches: Batches
 
 
 @dataclass(frozen=True)
-class Agreed:
-    """What the tiles of a cloud need to know before they can be written one by one.
+class TileAgreements:
+    """Everything that tiles need to be written one by one.
 
     Attributes:
-        tiles: what each of them was told.
+        tiles: the agreement of each tile.
         count: points of the whole answer.
-        answer: its format.
-        report: what happened.
-        seconds: that it took.
+        format: of the answer.
+        report: of the run.
+        seconds: that agreeing took.
     """
 
-    tiles: list[Any]
+    tiles: list[Agreement]
     count: int
-    answer: str
+    format: str
     report: dict[str, Any]
-    seconds: float
+    seconds: dict[str, float]
 
 
 @dataclass(frozen=True)
-class Written:
+class Output:
     """Bytes of the answer, uint8: all, or those of a tile.
 
     Attributes:
         data: the bytes.
-        report: what happened.
-        seconds: of each stage that nobody was told of yet.
-        batches: seconds and patches that the network took, likewise.
+        report: of the run.
+        seconds: of each stage that was not reported yet.
+        batches: of the network, likewise.
     """
 
     data: NDArray[np.uint8]
     report: dict[str, Any]
     seconds: dict[str, float]
-    batches: list[tuple[float, int]] = field(default_factory=list)
+    batches: Batches = field(default_factory=list)

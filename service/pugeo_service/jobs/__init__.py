@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs: requests that outlive their connection, and the process that accepted them."""
 
-from pugeo_service.jobs.service import Jobs
+from pugeo_service.jobs.manager import Jobs
 
 __all__ = ["Jobs"]

@@ -12,9 +12,9 @@ import structlog
 from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
+from pugeo_service.http.plain_json import plain_json
 from pugeo_service.jobs.schema import metadata
-from pugeo_service.plain import plain_json
-from pugeo_service.problems import Problem
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Database", "unavailable"]
 
@@ -30,10 +30,10 @@ _SILENCE_S = 15
 _MAKING = 0x70756767  # any number that nobody else locks in this database
 
 
-def unavailable(reason: str) -> Problem:
+def unavailable(reason: str) -> ProblemError:
     """Return the refusal of whatever needs the jobs' database or folder."""
     detail = f"Jobs are not available at the moment ({reason}); POST /upsample works without them."
-    return Problem(503, "jobs_unavailable", detail, retry_after=5)
+    return ProblemError(503, "jobs_unavailable", detail, retry_after=5)
 
 
 class Database:
@@ -56,7 +56,7 @@ class Database:
         """Run ``work`` in a transaction that only reads.
 
         Raises:
-            Problem: 503 where the database cannot be used.
+            ProblemError: 503 where the database cannot be used.
         """
         return await self._run(False, functools.partial(_bound, work, args, kwargs))
 
@@ -64,7 +64,7 @@ class Database:
         """Run ``work`` in a transaction that is on disk when this returns.
 
         Raises:
-            Problem: 503 where the database cannot be used; it is then unknown whether the
+            ProblemError: 503 where the database cannot be used; it is then unknown whether the
                 transaction took place.
             IntegrityError: a row of that key exists.
         """

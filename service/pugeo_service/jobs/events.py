@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator
 
 from fastapi.sse import format_sse_event
 
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.view import JobView, ProgressView
+from pugeo_service.jobs.api_models import JobView, ProgressView
+from pugeo_service.jobs.models import Job
 
 __all__ = ["stream"]
 

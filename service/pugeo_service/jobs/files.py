@@ -15,12 +15,12 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_service.spool import Sink
+from pugeo_service.storage.spool import Sink
 
-__all__ = ["InputLost", "JobFiles", "NewFile", "StoredInput"]
+__all__ = ["InputLostError", "JobFiles", "NewFile", "StoredInput"]
 
 
-class InputLost(Exception):
+class InputLostError(Exception):
     """The input of a job is not, or no longer, what was accepted."""
 
 
@@ -123,7 +123,7 @@ class StoredInput:
         """Return all bytes, uint8 ``(size,)``.
 
         Raises:
-            InputLost: they are gone, or others than were accepted.
+            InputLostError: they are gone, or others than were accepted.
         """
         return await asyncio.to_thread(self._read)
 
@@ -131,9 +131,9 @@ class StoredInput:
         try:
             data = np.fromfile(self._path, np.uint8)
         except FileNotFoundError as error:
-            raise InputLost("the file is gone") from error
+            raise InputLostError("the file is gone") from error
         if hashlib.sha256(data.data).hexdigest() != self._sha256:
-            raise InputLost("its bytes are not those that were accepted")
+            raise InputLostError("its bytes are not those that were accepted")
         return data
 
 

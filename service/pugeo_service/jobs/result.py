@@ -9,10 +9,10 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import FileResponse, MalformedRangeHeader, RangeNotSatisfiable, Response
 
-from pugeo_service.answer import run_headers
-from pugeo_service.jobs.record import Job
-from pugeo_service.negotiation import OFFERS
-from pugeo_service.problems import Problem
+from pugeo_service.http.negotiation import OFFERS
+from pugeo_service.http.responses import run_headers
+from pugeo_service.jobs.models import Job
+from pugeo_service.problems import ProblemError
 
 __all__ = ["check_there", "result_answer"]
 
@@ -23,7 +23,7 @@ def check_there(job: Job) -> None:
     """Refuse the result of a job that has none.
 
     Raises:
-        Problem: 409 while the job is not finished, 410 where its result is gone for good, or why
+        ProblemError: 409 while the job is not finished, 410 where its result is gone for good, or why
             the job failed.
     """
     if job.result_there(time.time()):
@@ -32,15 +32,17 @@ def check_there(job: Job) -> None:
     if job.problem is not None:
         told = job.problem
         fields |= {name: value for name, value in told.items() if name not in _OWN}
-        raise Problem(told["status"], told["code"], told["detail"], retryable=False, fields=fields)
+        raise ProblemError(
+            told["status"], told["code"], told["detail"], retryable=False, fields=fields
+        )
     if not job.finished and job.state != "succeeded":
         detail = f"The job is {job.state}; its result is there when its state is succeeded."
-        raise Problem(
+        raise ProblemError(
             409, "job_not_finished", detail, retryable=True, retry_after=_NOT_YET_RETRY_S,
             fields=fields,
         )  # fmt: skip
     if job.state == "cancelled":
-        raise Problem(410, "job_cancelled", "The job was cancelled.", fields=fields)
+        raise ProblemError(410, "job_cancelled", "The job was cancelled.", fields=fields)
     raise _gone(job)
 
 
@@ -53,7 +55,7 @@ def result_answer(request: Request, job: Job, path: Path) -> Response:
         path: its file.
 
     Raises:
-        Problem: 410, the file is gone.
+        ProblemError: 410, the file is gone.
     """
     assert job.result_sha256 is not None
     assert job.report is not None
@@ -100,7 +102,7 @@ class _ResultFile(FileResponse):
             detail = f"The range {http_range[:80]!r} is not within the {file_size} bytes there are."
             headers = {"Content-Range": f"bytes */{file_size}"}
             fields = {"size": file_size}
-            problem = Problem(416, "bad_range", detail, headers=headers, fields=fields)
+            problem = ProblemError(416, "bad_range", detail, headers=headers, fields=fields)
             raise problem from error
 
 
@@ -109,6 +111,6 @@ def _matches(header: str | None, etag: str) -> bool:
     return etag in tags or "*" in tags
 
 
-def _gone(job: Job) -> Problem:
+def _gone(job: Job) -> ProblemError:
     detail = "The result was deleted: its time was over, or somebody asked for it."
-    return Problem(410, "result_gone", detail, fields={"job": job.id, "state": job.state})
+    return ProblemError(410, "result_gone", detail, fields={"job": job.id, "state": job.state})

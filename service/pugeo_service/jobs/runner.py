@@ -9,12 +9,12 @@ from collections.abc import Callable
 import structlog
 
 from pugeo_service.engine import Engine
-from pugeo_service.jobs import queue, store
-from pugeo_service.jobs.attempt import Attempt
+from pugeo_service.jobs import client_queries, runner_queries
+from pugeo_service.jobs.completion import Settlement, crashed
 from pugeo_service.jobs.database import Database
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.settle import Settlement, crashed
-from pugeo_service.problems import Problem
+from pugeo_service.jobs.execution import Attempt
+from pugeo_service.jobs.models import Job
+from pugeo_service.problems import ProblemError
 
 __all__ = ["Runner"]
 
@@ -86,7 +86,7 @@ class Runner:
         while not self._draining:
             try:
                 await self._begin()
-            except Problem:
+            except ProblemError:
                 # The database's log line says why; it may be back at the next look.
                 self._wake.clear()
             except Exception:  # noqa: BLE001 - a bug must not end all jobs for good
@@ -101,10 +101,12 @@ class Runner:
         """Put back what is marked as run here and is not, say since the answer to a claim was lost.
 
         Raises:
-            Problem: 503, the database cannot be used.
+            ProblemError: 503, the database cannot be used.
         """
         before = time.time() - _STRAY_S
-        if await self._database.write(queue.put_back, self._name, list(self._halts), before):
+        if await self._database.write(
+            runner_queries.put_back, self._name, list(self._halts), before
+        ):
             _log.warning("jobs that nobody ran are queued again")
             self.wake()
 
@@ -114,7 +116,7 @@ class Runner:
             len(self._tasks) < self._limit
             and self._engine.status.workers
             and not self._draining
-            and (job := await self._database.write(queue.claim, self._name, time.time()))
+            and (job := await self._database.write(runner_queries.claim, self._name, time.time()))
         ):
             self._halts[job.id] = asyncio.Event()
             if self._draining:
@@ -144,7 +146,7 @@ class Runner:
                     work.cancel()
                     await asyncio.gather(work, return_exceptions=True)
                 await self._settle(job, work)
-            except Problem:
+            except ProblemError:
                 # It stays this process's, and is taken up again once that has ended.
                 _log.error("the end of a job could not be noted")
             except Exception:  # noqa: BLE001 - `reclaim` takes it up again
@@ -171,7 +173,7 @@ class Runner:
                 now = attempt.progress
                 try:
                     mine = await self._note(job, now if now != noted else None)
-                except Problem:
+                except ProblemError:
                     continue
                 if not mine:
                     return
@@ -184,6 +186,8 @@ class Runner:
     async def _note(self, job: Job, progress: tuple[str, int, int | None] | None) -> bool:
         """Write progress down if there is any; return whether the job is still ours."""
         if progress is not None:
-            return await self._database.write(queue.progress, job.id, self._name, *progress)
-        found = await self._database.read(store.many, [job.id])
+            return await self._database.write(
+                runner_queries.progress, job.id, self._name, *progress
+            )
+        found = await self._database.read(client_queries.many, [job.id])
         return bool(found) and found[0].runner == self._name

@@ -14,17 +14,17 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import IntegrityError
 from starlette.requests import Request
 
-from pugeo_service.admission import Admission
-from pugeo_service.body import receive_into
-from pugeo_service.jobs import store
+from pugeo_service.admission.admission import Admission
+from pugeo_service.http.body import receive_into
+from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.jobs import client_queries
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
-from pugeo_service.jobs.record import Job, new_id
-from pugeo_service.jobs.room import Room
-from pugeo_service.options import UpsampleQuery
-from pugeo_service.problems import Problem
+from pugeo_service.jobs.models import Job, new_id
+from pugeo_service.jobs.quota import Room
+from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
-from pugeo_service.storage import storage_problems
+from pugeo_service.storage.problems import storage_problems
 
 __all__ = ["Submission", "key_of"]
 
@@ -36,12 +36,12 @@ def key_of(request: Request) -> str | None:
     """Return the ``Idempotency-Key`` of a request, if there is one.
 
     Raises:
-        Problem: 400, it is none.
+        ProblemError: 400, it is none.
     """
     key = request.headers.get("idempotency-key")
     if key is not None and not _KEY.fullmatch(key):
         detail = "Idempotency-Key must be 1 to 255 printable ASCII characters."
-        raise Problem(400, "bad_idempotency_key", detail)
+        raise ProblemError(400, "bad_idempotency_key", detail)
     return key
 
 
@@ -80,12 +80,12 @@ class Submission:
             The job, and whether it is new: a request that was sent before gets the job of then.
 
         Raises:
-            Problem: as `receive_body`; 422 where the key names another request; 429 where the
+            ProblemError: as `receive_body`; 422 where the key names another request; 429 where the
                 owner has its share; 503 where there is no room for anybody, the disk is full,
                 or the database fails.
         """
-        if key is None or not await self._database.read(store.by_key, owner, key):
-            self._room.check(owner, 0, *await self._database.read(store.usages, owner))
+        if key is None or not await self._database.read(client_queries.by_key, owner, key):
+            self._room.check(owner, 0, *await self._database.read(client_queries.usages, owner))
         job_id = new_id()
         with self._arriving.hold(owner) as hold, self._files.new_input(job_id) as file:
             body = await receive_into(file, request, self._settings, hold)
@@ -128,7 +128,7 @@ class Submission:
                 "This Idempotency-Key was used for another request; a key names one body with "
                 "its options. Take a new key for each job."
             )
-            raise Problem(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
+            raise ProblemError(422, "idempotency_key_reused", detail, fields={"job": earlier.id})
         return earlier or job
 
     async def _withdraw_unless_there(self, job: Job) -> None:
@@ -138,8 +138,8 @@ class Submission:
         input. Where not even that can be found out, the sweep decides later.
         """
         try:
-            there = await self._database.read(store.many, [job.id])
-        except Problem:
+            there = await self._database.read(client_queries.many, [job.id])
+        except ProblemError:
             _log.warning("an input may be left behind until the next sweep", job=job.id)
             return
         if not there:
@@ -149,10 +149,10 @@ class Submission:
 def _find_or_add(connection: Connection, job: Job, room: Room) -> Job | None:
     """Return the job that has its key already, or else insert it where there is room."""
     if job.idempotency_key is not None:
-        earlier = store.by_key(connection, job.owner, job.idempotency_key)
+        earlier = client_queries.by_key(connection, job.owner, job.idempotency_key)
         if earlier is not None:
             return earlier
-    store.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
+    client_queries.add(connection, job, functools.partial(room.check, job.owner, job.input_bytes))
     return None
 
 

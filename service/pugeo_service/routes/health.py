@@ -7,8 +7,8 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from pugeo_service import __version__
-from pugeo_service.problems import Problem, problem_responses
-from pugeo_service.state import ServiceDep
+from pugeo_service.container import ServiceDep
+from pugeo_service.problems import ProblemError, problem_responses
 
 __all__ = ["router"]
 
@@ -59,7 +59,7 @@ async def ready(service: ServiceDep) -> Ready:
     """Say whether to send requests here: a warm worker, room in the queue, not shutting down."""
     reason = service.not_ready_because
     if reason is not None:
-        raise Problem(503, reason, _WHY[reason], retry_after=2)
+        raise ProblemError(503, reason, _WHY[reason], retry_after=2)
     return Ready()
 
 

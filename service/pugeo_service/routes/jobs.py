@@ -9,18 +9,18 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse
 
 from pugeo_model.errors import CloudError
+from pugeo_service.container import ServiceDep
+from pugeo_service.http.negotiation import OFFERS
+from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.jobs.api_models import JobsView, JobView
 from pugeo_service.jobs.events import stream
-from pugeo_service.jobs.record import State
+from pugeo_service.jobs.models import State
 from pugeo_service.jobs.result import check_there, result_answer
 from pugeo_service.jobs.submission import key_of
-from pugeo_service.jobs.view import JobsView, JobView
 from pugeo_service.keys import owner_of
-from pugeo_service.negotiation import OFFERS
-from pugeo_service.options import UpsampleQuery
-from pugeo_service.problems import Problem, problem_responses
+from pugeo_service.problems import ProblemError, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
-from pugeo_service.state import ServiceDep
-from pugeo_service.work import offer_of
+from pugeo_service.runs import offer_of
 
 __all__ = ["router"]
 
@@ -76,7 +76,7 @@ async def submit(
         offer = offer_of(request.headers, query.format)
         owner, key = owner_of(request), key_of(request)
         job, _ = await service.jobs.submit(request, query, offer.name, owner, key)
-    except (Problem, CloudError) as error:
+    except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
     response.status_code = 200 if job.finished else 202

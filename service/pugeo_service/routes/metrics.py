@@ -5,7 +5,7 @@ from fastapi import APIRouter
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from starlette.responses import Response
 
-from pugeo_service.state import ServiceDep
+from pugeo_service.container import ServiceDep
 
 __all__ = ["router"]
 

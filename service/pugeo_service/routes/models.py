@@ -5,8 +5,8 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from pugeo_service.problems import Problem, problem_responses
-from pugeo_service.state import ServiceDep
+from pugeo_service.container import ServiceDep
+from pugeo_service.problems import ProblemError, problem_responses
 
 __all__ = ["router"]
 
@@ -24,5 +24,7 @@ async def get_model(name: str, service: ServiceDep) -> dict[str, Any]:
     """Return one card: version, sha256, ratio range, training data, measured quality."""
     if name != service.card["name"]:
         detail = f"There is no model {name[:80]!r}; this service runs {service.card['name']!r}."
-        raise Problem(404, "unknown_model", detail, fields={"available": [service.card["name"]]})
+        raise ProblemError(
+            404, "unknown_model", detail, fields={"available": [service.card["name"]]}
+        )
     return service.card

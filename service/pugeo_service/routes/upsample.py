@@ -7,22 +7,22 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from pugeo_model.errors import CloudError
-from pugeo_service.admission import Hold
-from pugeo_service.answer import DenseAnswer, answer_headers
-from pugeo_service.body import Body, ClientGone, receive_body
-from pugeo_service.deadline import Deadline
-from pugeo_service.disconnect import DeadlinePassed, while_connected
-from pugeo_service.engine import Order, Outcome
+from pugeo_service.admission.admission import Hold
+from pugeo_service.admission.deadline import Deadline
+from pugeo_service.container import Service, ServiceDep
+from pugeo_service.engine import RunRequest, RunResult
+from pugeo_service.http.body import Body, ClientDisconnectedError, receive_body
+from pugeo_service.http.cancellation import DeadlinePassedError, while_connected
+from pugeo_service.http.negotiation import OFFERS, Offer
+from pugeo_service.http.prefer import preferences
+from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.http.responses import DenseAnswer, answer_headers
 from pugeo_service.keys import owner_of
-from pugeo_service.negotiation import OFFERS, Offer
-from pugeo_service.options import UpsampleQuery
-from pugeo_service.prefer import preferences
-from pugeo_service.problems import Problem, problem_responses
+from pugeo_service.observability.tracing import StageSpans
+from pugeo_service.problems import ProblemError, problem_responses
 from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
-from pugeo_service.spool import Spool
-from pugeo_service.state import Service, ServiceDep
-from pugeo_service.tracing import StageSpans
-from pugeo_service.work import count_run, engine_problems, make_order, offer_of
+from pugeo_service.runs import count_run, engine_problems, make_run_request, offer_of
+from pugeo_service.storage.spool import Spool
 
 __all__ = ["router"]
 
@@ -60,7 +60,7 @@ async def upsample(
     try:
         offer = offer_of(request.headers, query.format)
         outcome = await _serve(request, service, offer, query, deadline)
-    except (Problem, CloudError) as error:
+    except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
     count_run(service.telemetry, outcome)
@@ -74,22 +74,22 @@ async def upsample(
 
 async def _serve(
     request: Request, service: Service, offer: Offer, query: UpsampleQuery, deadline: Deadline
-) -> Outcome:
+) -> RunResult:
     if service.not_ready_because == "no_worker":
-        raise Problem(503, "no_worker", "No worker is warm yet; try again.", retry_after=2)
+        raise ProblemError(503, "no_worker", "No worker is warm yet; try again.", retry_after=2)
     with service.admission.hold(owner_of(request)) as hold:
         try:
             async with deadline.arriving():
                 body = await receive_body(request, service.settings, hold)
             with body.spool:
-                hold.enter(Order.estimate(body.spool.size, body.format))
+                hold.enter(RunRequest.estimate(body.spool.size, body.format))
                 hold.check_deadline(deadline.left, service.engine.status.workers, sized=False)
                 return await _run(request, service, body, offer, query, hold, deadline)
-        except DeadlinePassed as error:
+        except DeadlinePassedError as error:
             service.telemetry.cancelled.labels("deadline").inc()
             detail = f"The request took longer than {deadline.shown}."
             fields = {"limit": deadline.seconds}
-            raise Problem(504, "deadline_exceeded", detail, fields=fields) from error
+            raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
 
 async def _run(
@@ -100,10 +100,10 @@ async def _run(
     query: UpsampleQuery,
     hold: Hold,
     deadline: Deadline,
-) -> Outcome:
+) -> RunResult:
     settings = service.settings
     # The deadline is the service's own and never the client's: a worker that overruns it is ended.
-    order = make_order(
+    order = make_run_request(
         settings,
         query.for_model(),
         format=body.format,
@@ -116,7 +116,7 @@ async def _run(
         hold.resize(count)
         try:
             hold.check_deadline(deadline.left, service.engine.status.workers, sized=True)
-        except Problem as problem:
+        except ProblemError as problem:
             if not hopeless.done():
                 hopeless.set_exception(problem)
 
@@ -132,7 +132,7 @@ async def _run(
     try:
         with engine_problems():
             outcome = await while_connected(request, work, deadline.left, hopeless)
-    except ClientGone:
+    except ClientDisconnectedError:
         service.telemetry.cancelled.labels("disconnect").inc()
         raise
     else:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pugeo_model import Cloud, LimitExceeded, MalformedFile
+from pugeo_model import Cloud, LimitExceededError, MalformedFileError
 
 Parse = Callable[..., Cloud]
 Dump = Callable[[Cloud, str], bytes]
@@ -77,13 +77,13 @@ def test_float_colors(parse: Parse) -> None:
 )
 def test_bad_documents(parse: Parse, document: str, match: str) -> None:
     """Everything that is wrong is refused with the key and the row."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(document.encode())
 
 
 def test_not_utf8(parse: Parse) -> None:
     """Bytes that are no UTF-8 are a malformed file, not an exception of the decoder."""
-    with pytest.raises(MalformedFile):
+    with pytest.raises(MalformedFileError):
         parse(b'{"points": [[0,0,0]], "scalars": {"\xff\xfe": [1]}}')
 
 
@@ -93,7 +93,7 @@ def test_rows_are_counted_before_decoding(parse: Parse) -> None:
     assert len(parse((two + "}").encode(), max_points=2)) == 2
     extras = ["", ', "normals": [[],[],[]]', ', "scalars": {"a": [1,2,3]}']
     for extra, limit in zip(extras, (1, 2, 2), strict=True):
-        with pytest.raises(LimitExceeded) as caught:
+        with pytest.raises(LimitExceededError) as caught:
             parse((two + extra + "}").encode(), max_points=limit)
         assert caught.value.fields["name"] == "max_points"
 
@@ -101,7 +101,7 @@ def test_rows_are_counted_before_decoding(parse: Parse) -> None:
 def test_too_many_scalars(parse: Parse) -> None:
     """The number of scalars is bounded."""
     scalars = {f"s{index}": [0] for index in range(300)}
-    with pytest.raises(MalformedFile, match="300 keys"):
+    with pytest.raises(MalformedFileError, match="300 keys"):
         parse(json.dumps({"points": [[0, 0, 0]], "scalars": scalars}).encode())
 
 

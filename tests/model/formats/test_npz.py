@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pugeo_model import Cloud, LimitExceeded, MalformedFile
+from pugeo_model import Cloud, LimitExceededError, MalformedFileError
 from pugeo_model.formats import read, write
 
 Parse = Callable[..., Cloud]
@@ -98,7 +98,7 @@ def test_columns_order_and_normals(parse: Parse) -> None:
 @pytest.mark.parametrize("shape", [(4, 4), (12,), (4, 3, 1), (), (3, 4), (0,)])
 def test_single_array_of_wrong_shape(parse: Parse, shape: tuple[int, ...]) -> None:
     """Any other shape is refused with the two that are right."""
-    with pytest.raises(MalformedFile, match=r"\(M, 3\), points, or \(M, 6\)"):
+    with pytest.raises(MalformedFileError, match=r"\(M, 3\), points, or \(M, 6\)"):
         parse(array(np.zeros(shape)))
 
 
@@ -118,7 +118,7 @@ def test_single_array_of_wrong_shape(parse: Parse, shape: tuple[int, ...]) -> No
 )
 def test_bad_archives(parse: Parse, arrays: dict[str, Any], match: str) -> None:
     """Wrong keys, shapes and types are refused by name; nothing is ever unpickled."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(archive(**arrays))
 
 
@@ -126,14 +126,14 @@ def test_zip_bomb(parse: Parse) -> None:
     """What an archive unpacks to is checked before it is unpacked, one by one and together."""
     bomb = archive(compressed=True, points=np.zeros((1_000_000, 3)))
     assert len(bomb) < 200_000
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(bomb, max_bytes=1_000_000)
     assert caught.value.fields["name"] == "max_bytes"
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(bomb, max_points=999_999)
     assert caught.value.fields["name"] == "max_points"
     many = {f"s{index}": np.zeros(1000) for index in range(20)}
-    with pytest.raises(LimitExceeded):
+    with pytest.raises(LimitExceededError):
         parse(archive(compressed=True, points=np.zeros((1000, 3)), **many), max_bytes=100_000)
 
 
@@ -141,7 +141,7 @@ def test_zip_bomb(parse: Parse) -> None:
 def test_declared_but_absent(parse: Parse, shape: str) -> None:
     """An array whose data are missing is refused before it is allocated."""
     for data in (declaring(shape), zipped({"points.npy": declaring(shape)})):
-        with pytest.raises(MalformedFile) as caught:
+        with pytest.raises(MalformedFileError) as caught:
             parse(data)
         assert caught.value.code == "truncated"
 
@@ -152,7 +152,7 @@ def test_hostile_headers(parse: Parse, shape: str, dtype: str) -> None:
     """Impossible shapes and types are refused, none with another exception."""
     shape = shape.replace("10**30", "1" + "0" * 30)
     for data in (declaring(shape, dtype), zipped({"points.npy": declaring(shape, dtype)})):
-        with pytest.raises((MalformedFile, LimitExceeded)):
+        with pytest.raises((MalformedFileError, LimitExceededError)):
             parse(data)
 
 
@@ -177,7 +177,7 @@ def test_other_zips(parse: Parse) -> None:
         bytes(locked),
         method,
     ):
-        with pytest.raises(MalformedFile):
+        with pytest.raises(MalformedFileError):
             parse(data if data.startswith(b"PK\x03\x04") else b"PK\x03\x04" + data)
 
 
@@ -188,20 +188,20 @@ def test_other_compressions(parse: Parse, method: int) -> None:
     damaged = bytearray(good)
     damaged[60] ^= 0xFF
     for data in (good, bytes(damaged)):
-        with pytest.raises(MalformedFile, match="is compressed by method"):
+        with pytest.raises(MalformedFileError, match="is compressed by method"):
             parse(data)
 
 
 def test_same_name_twice(parse: Parse) -> None:
     """Two arrays of one name are refused: which one is meant is not guessed."""
-    with pytest.raises(MalformedFile, match="'points' is in the archive twice"):
+    with pytest.raises(MalformedFileError, match="'points' is in the archive twice"):
         parse(zipped({"points.npy": array(P), "points": array(P)}))
 
 
 def test_huge_directory(parse: Parse) -> None:
     """An archive with thousands of entries is refused before its directory is read."""
     data = zipped({f"member{index}": b"" for index in range(2_000)}, zipfile.ZIP_STORED)
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(data)
     assert caught.value.fields["name"] == "max_header_bytes"
 
@@ -210,7 +210,7 @@ def test_zip64_directory(parse: Parse) -> None:
     """The record by which a small archive could announce a huge directory is refused."""
     data = archive(points=P)
     end = data.rindex(b"PK\x05\x06")
-    with pytest.raises(LimitExceeded):
+    with pytest.raises(LimitExceededError):
         parse(data[:end] + b"PK\x06\x07" + bytes(16) + data[end:])
 
 

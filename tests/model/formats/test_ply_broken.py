@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pugeo_model import Cloud, LimitExceeded, MalformedFile
+from pugeo_model import Cloud, LimitExceededError, MalformedFileError
 
 Parse = Callable[..., Cloud]
 
@@ -23,7 +23,7 @@ def ply(lines: list[str], body: bytes = b"", kind: str = LITTLE) -> bytes:
 
 def test_truncated_binary_says_how_much(parse: Parse) -> None:
     """A short body is refused with bytes and rows, expected and found."""
-    with pytest.raises(MalformedFile) as caught:
+    with pytest.raises(MalformedFileError) as caught:
         parse(ply(["element vertex 1000", *XYZ], b"x" * 125))
     assert caught.value.code == "truncated"
     assert caught.value.fields == {
@@ -37,7 +37,7 @@ def test_truncated_binary_says_how_much(parse: Parse) -> None:
 def test_truncated_text_says_how_much(parse: Parse) -> None:
     """Missing lines are refused with the rows expected and found."""
     body = b"1.00000 2.00000 3.00000\n" * 4
-    with pytest.raises(MalformedFile) as caught:
+    with pytest.raises(MalformedFileError) as caught:
         parse(ply(["element vertex 5", *XYZ], body, TEXT))
     assert caught.value.code == "truncated"
     assert caught.value.fields == {"expected_rows": 5, "found_rows": 4}
@@ -48,7 +48,7 @@ def test_truncation_is_found_before_allocation(parse: Parse, kind: str) -> None:
     """A header that promises 20 million rows costs nothing when they are not there."""
     tracemalloc.start()
     try:
-        with pytest.raises(MalformedFile, match="ends too early"):
+        with pytest.raises(MalformedFileError, match="ends too early"):
             parse(ply(["element vertex 20000000", *XYZ], b"1 2 3\n" * 100, kind))
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
@@ -58,7 +58,7 @@ def test_truncation_is_found_before_allocation(parse: Parse, kind: str) -> None:
 def test_too_many_points(parse: Parse) -> None:
     """Four billion vertices are refused at once, with limit and value."""
     start = time.perf_counter()
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(ply(["element vertex 4000000000", *XYZ]))
     assert time.perf_counter() - start < 0.5
     assert caught.value.fields == {"name": "max_points", "limit": 20_000_000, "value": 4 * 10**9}
@@ -69,7 +69,7 @@ def test_endless_header(parse: Parse, junk: bytes) -> None:
     """20 MB without an end of the header are refused after 64 KB."""
     data = b"ply\n" + junk * (20_000_000 // len(junk))
     start = time.perf_counter()
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(data)
     assert time.perf_counter() - start < 0.5
     assert caught.value.fields["name"] == "max_header_bytes"
@@ -77,7 +77,7 @@ def test_endless_header(parse: Parse, junk: bytes) -> None:
 
 def test_too_many_header_lines(parse: Parse) -> None:
     """A header is bounded in lines too."""
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(ply(["comment"] * 1_000 + ["element vertex 0", *XYZ]))
     assert caught.value.fields["name"] == "max_header_lines"
 
@@ -104,7 +104,7 @@ def test_too_many_header_lines(parse: Parse) -> None:
 )
 def test_bad_headers(parse: Parse, lines: list[str], match: str) -> None:
     """Every line that makes no sense is refused by number, and nothing is guessed."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(ply(lines, bytes(64)))
 
 
@@ -119,7 +119,7 @@ def test_bad_headers(parse: Parse, lines: list[str], match: str) -> None:
 )
 def test_incomplete_headers(parse: Parse, data: bytes, match: str) -> None:
     """A header that stops, or lacks its format, is refused."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(data)
 
 
@@ -139,7 +139,7 @@ def test_incomplete_headers(parse: Parse, data: bytes, match: str) -> None:
 )
 def test_bad_text(parse: Parse, body: bytes, match: str) -> None:
     """What is wrong in a text body is told by its line in the file."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(ply(["element vertex 3", *XYZ], body, TEXT))
 
 
@@ -147,7 +147,7 @@ def test_bad_text(parse: Parse, body: bytes, match: str) -> None:
 def test_text_outside_its_type(parse: Parse, value: str) -> None:
     """A number that its declared type cannot hold is refused instead of wrapping around."""
     lines = ["element vertex 1", *XYZ, "property uchar label"]
-    with pytest.raises(MalformedFile, match="Line 9 has a value of 'label'"):
+    with pytest.raises(MalformedFileError, match="Line 9 has a value of 'label'"):
         parse(ply(lines, f"1 2 3 {value}\n".encode(), TEXT))
 
 
@@ -155,7 +155,7 @@ def test_text_list_longer_than_its_line(parse: Parse) -> None:
     """The length of a list cannot reach into the next line."""
     lines = ["element vertex 2", *XYZ, "property list int int v"]
     for length in ("3", "-1", "2000000000"):
-        with pytest.raises(MalformedFile, match="Line 9 has too few values"):
+        with pytest.raises(MalformedFileError, match="Line 9 has too few values"):
             parse(ply(lines, f"1 2 3 {length} 1\n1 2 3 1 1\n".encode(), TEXT))
 
 
@@ -173,7 +173,7 @@ def test_binary_list_of_impossible_length(
     body = b"".join(head + (bad if each == row else good) + bytes(4) for each in range(3))
     name = {"i": "int", "I": "uint", "q": "int64", "Q": "uint64"}[count_type]
     lines = ["element vertex 3", *XYZ, f"property list {name} int v"]
-    with pytest.raises(MalformedFile) as caught:
+    with pytest.raises(MalformedFileError) as caught:
         parse(ply(lines, body))
     assert caught.value.code in ("bad_list", "truncated")
 
@@ -183,7 +183,7 @@ def test_lists_that_eat_the_file(parse: Parse) -> None:
     lines = ["element vertex 3", *XYZ, "property list uchar int v"]
     row = struct.pack("<3fB", 1, 2, 3, 2) + bytes(8)
     for body in (row * 2 + row[:13], row + row[:12] + b"\x03" + bytes(12) + row[:14]):
-        with pytest.raises(MalformedFile) as caught:
+        with pytest.raises(MalformedFileError) as caught:
             parse(ply(lines, body))
         assert caught.value.code == "truncated"
         assert caught.value.fields["found_rows"] == 2
@@ -193,7 +193,7 @@ def test_lists_that_eat_the_file(parse: Parse) -> None:
 
 def test_very_long_line(parse: Parse) -> None:
     """A text body without line ends is refused after some megabytes."""
-    with pytest.raises(LimitExceeded, match="longer than"):
+    with pytest.raises(LimitExceededError, match="longer than"):
         parse(ply(["element vertex 1", *XYZ], b"1 " * 4_000_000, TEXT))
 
 
@@ -201,6 +201,6 @@ def test_file_limit(parse: Parse) -> None:
     """The size of the file is checked first of all."""
     data = ply(["element vertex 10", *XYZ], np.zeros(30, "f4").tobytes())
     assert len(parse(data, max_bytes=len(data))) == 10
-    with pytest.raises(LimitExceeded) as caught:
+    with pytest.raises(LimitExceededError) as caught:
         parse(data, max_bytes=len(data) - 1)
     assert caught.value.fields["name"] == "max_bytes"

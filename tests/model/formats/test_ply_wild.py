@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pugeo_model import Cloud, pipeline
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats import read, write
 from pugeo_model.options import Options
 
@@ -300,7 +300,7 @@ def test_habits_cut_short(parse: Parse, name: str) -> None:
     """Every such file that lost its second half is refused, and says so."""
     data = HABITS[name].file()
     start = data.index(b"end_header") + 12
-    with pytest.raises(MalformedFile, match=r"ends too early|longer than the rest"):
+    with pytest.raises(MalformedFileError, match=r"ends too early|longer than the rest"):
         parse(data[: start + (len(data) - start) // 2])
 
 
@@ -323,5 +323,5 @@ def test_notes_reach_the_report(parse: Parse) -> None:
         [("vertex", XYZ, points.tolist()), ("face", ["list uchar int vertex_indices"], [[[0]]])],
         points,
     )
-    plan = pipeline.survey(parse(habit.file()), Options(ratio=2.0))
+    plan = pipeline.make_plan(parse(habit.file()), Options(ratio=2.0))
     assert any("faces are dropped" in note for note in plan.report["notes"])

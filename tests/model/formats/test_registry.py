@@ -15,7 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pugeo_model import Cloud, CloudError, LimitExceeded, MalformedFile, UnsupportedFormat
+from pugeo_model import (
+    Cloud,
+    CloudError,
+    LimitExceededError,
+    MalformedFileError,
+    UnsupportedFormatError,
+)
 from pugeo_model.formats import FORMATS, Limits, detect, read, write
 
 Dump = Callable[[Cloud, str], bytes]
@@ -85,7 +91,7 @@ def test_endless_pipe() -> None:
 
     feeder = threading.Thread(target=feed)
     feeder.start()
-    with os.fdopen(receiver, "rb") as pipe, pytest.raises(LimitExceeded):
+    with os.fdopen(receiver, "rb") as pipe, pytest.raises(LimitExceededError):
         read(pipe, limits=Limits(max_bytes=1_000_000))
     pipe.close()
     feeder.join()
@@ -94,13 +100,13 @@ def test_endless_pipe() -> None:
 def test_unknown_content(tmp_path: Path) -> None:
     """Content and names that say nothing, and unknown formats, are refused with what there is."""
     for data in (b"\x89PNG\r\n\x1a\n", b"hello world this\n", b"\x00" * 100, b"[[1,2,3]]"):
-        with pytest.raises(UnsupportedFormat, match="Readable are ply-ascii, ply"):
+        with pytest.raises(UnsupportedFormatError, match="Readable are ply-ascii, ply"):
             read(io.BytesIO(data))
-    with pytest.raises(UnsupportedFormat, match="no format 'las'"):
+    with pytest.raises(UnsupportedFormatError, match="no format 'las'"):
         read(io.BytesIO(b"x"), format="las")
-    with pytest.raises(UnsupportedFormat, match="extension"):
+    with pytest.raises(UnsupportedFormatError, match="extension"):
         write(Cloud(np.zeros((1, 3))), tmp_path / "cloud.las")
-    with pytest.raises(MalformedFile, match="empty"):
+    with pytest.raises(MalformedFileError, match="empty"):
         read(io.BytesIO())
 
 
@@ -108,7 +114,7 @@ def test_extension_decides_last(tmp_path: Path) -> None:
     """Where the content says nothing the name does, and that reader says what is wrong."""
     path = tmp_path / "cloud.PLY"
     path.write_bytes(b"not a ply file")
-    with pytest.raises(MalformedFile, match="'ply'"):
+    with pytest.raises(MalformedFileError, match="'ply'"):
         read(path)
 
 

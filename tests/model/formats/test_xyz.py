@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pugeo_model import Cloud, LimitExceeded, MalformedFile
+from pugeo_model import Cloud, LimitExceededError, MalformedFileError
 
 Parse = Callable[..., Cloud]
 Dump = Callable[[Cloud, str], bytes]
@@ -101,7 +101,7 @@ def test_named_columns(parse: Parse) -> None:
 )
 def test_bad_text(parse: Parse, text: str, match: str) -> None:
     """Ragged rows, words, wrong counts and decimal commas are refused with their line."""
-    with pytest.raises(MalformedFile, match=match):
+    with pytest.raises(MalformedFileError, match=match):
         parse(text.encode())
 
 
@@ -109,7 +109,7 @@ def test_limit(parse: Parse) -> None:
     """The limit of points holds with a count and without."""
     for text in (b"0 0 0\n" * 11, b"11\n" + b"0 0 0\n" * 11):
         assert len(parse(text, max_points=11)) == 11
-        with pytest.raises(LimitExceeded):
+        with pytest.raises(LimitExceededError):
             parse(text, max_points=10)
 
 
@@ -126,7 +126,7 @@ def test_many_blocks_and_comments(parse: Parse) -> None:
     cloud = parse("\n".join(rows).encode())
     np.testing.assert_array_equal(cloud.points[:, 0], np.arange(40_000))
     rows[33_333] = "1 2 x"
-    with pytest.raises(MalformedFile, match=r"Line 33334: 'x'"):
+    with pytest.raises(MalformedFileError, match=r"Line 33334: 'x'"):
         parse("\n".join(rows).encode())
 
 

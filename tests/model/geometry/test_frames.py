@@ -16,7 +16,7 @@ def angles(normals, truth):
 
 
 def test_axes_are_rotations(cylinder):
-    """Every frame is orthonormal and right-handed."""
+    """Each frame is orthonormal and right-handed."""
     axes = frames_of(cylinder).axes.astype(np.float64)
     np.testing.assert_allclose(
         axes @ axes.transpose(0, 2, 1), np.tile(np.eye(3), (len(axes), 1, 1)), atol=1e-5
@@ -25,7 +25,7 @@ def test_axes_are_rotations(cylinder):
 
 
 def test_plane_is_exact(plane):
-    """On a plane the normal is the plane's, and nothing is left over."""
+    """On a plane the normal is that of the plane, and the noise level is zero."""
     points, normal = plane
     frames = frames_of(points)
     assert angles(frames.axes[:, 2], normal).max() < 0.01
@@ -33,7 +33,7 @@ def test_plane_is_exact(plane):
 
 
 def test_sphere_curvature(sphere):
-    """On the unit sphere both principal curvatures are 1 (here in units of the spacing)."""
+    """On the unit sphere both principal curvatures are 1, per spacing."""
     frames = frames_of(sphere)
     assert angles(frames.axes[:, 2], sphere).max() < 0.5
     curvature = np.abs(frames.quadric[:, [3, 5]]) / frames.spacing[:, None]
@@ -41,7 +41,7 @@ def test_sphere_curvature(sphere):
 
 
 def test_cylinder_curvatures(cylinder):
-    """Away from its rims a cylinder of radius 0.5 bends by 2 one way and by 0 the other."""
+    """A cylinder of radius 0.5 has the principal curvatures 2 and 0 away from its rims."""
     inner = (cylinder[:, 2] > 0.4) & (cylinder[:, 2] < 1.6)
     frames = frames_of(cylinder)
     c3, c4, c5 = frames.quadric[inner, 3:].T / frames.spacing[inner]
@@ -60,14 +60,14 @@ def test_noise_is_measured(sphere):
 
 
 def test_frames_follow_rotation(sphere):
-    """Turning the cloud turns the normals with it."""
-    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    before, after = frames_of(sphere), frames_of(sphere @ turn.T)
-    assert angles(after.axes[:, 2], before.axes[:, 2] @ turn.T).max() < 0.1
+    """A rotation of the cloud rotates the normals."""
+    rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    before, after = frames_of(sphere), frames_of(sphere @ rotation.T)
+    assert angles(after.axes[:, 2], before.axes[:, 2] @ rotation.T).max() < 0.1
 
 
 def test_noise_is_told_from_detail(plane):
-    """A plane a part of which is bumpy is clean; one that is noisy everywhere is not."""
+    """A plane with bumps in one half has a low noise level, a noisy plane a high one."""
     points, normal = plane
     rough = np.arange(len(points)) < len(points) // 2
     height = np.random.default_rng(0).normal(size=(len(points), 1), scale=0.008)

@@ -5,7 +5,7 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 
 
 def test_nearest_matches_brute_force(sphere):
-    """The k nearest are those of all pairwise distances, the point itself left out."""
+    """The k nearest equal those of all pairwise distances, without the point itself."""
     distances, rows = nearest(sphere, 12)
     apart = np.linalg.norm(sphere[:, None] - sphere[None], axis=-1)
     np.fill_diagonal(apart, np.inf)
@@ -15,7 +15,7 @@ def test_nearest_matches_brute_force(sphere):
 
 
 def test_few_points_repeat_the_furthest():
-    """Fewer points than neighbours wanted still give the wanted shape."""
+    """With fewer points than neighbours, the furthest is repeated and the shape is kept."""
     points = np.eye(3)
     distances, rows = nearest(points, 32)
     assert distances.shape == rows.shape == (3, 32)

@@ -8,14 +8,14 @@ from pugeo_model.geometry.overlapping import (
     PATCH_POINTS,
     normalise_patch,
     overlapping_patches,
-    patches_of,
+    patch_count,
 )
 
 
 def test_patches_overlap_and_cover(sphere):
     """Every point lies in one patch at least, and in about three on average."""
     patches = overlapping_patches(sphere)
-    assert len(patches) >= patches_of(len(sphere)) == -(-OVERLAP * 2000 // 256)
+    assert len(patches) >= patch_count(len(sphere)) == -(-OVERLAP * 2000 // 256)
     times = np.bincount(np.concatenate([p.rows for p in patches]), minlength=len(sphere))
     assert times.min() >= 1
     assert OVERLAP <= times.mean() <= OVERLAP + 1
@@ -38,7 +38,7 @@ def test_small_clouds_are_one_patch(sphere, count):
     (patch,) = overlapping_patches(sphere[:count])
     assert len(patch.rows) == PATCH_POINTS
     assert set(patch.rows) == set(range(count))
-    assert patches_of(count) == 1
+    assert patch_count(count) == 1
 
 
 def test_a_far_island_is_covered():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed surfaces that a formula knows, as mesh files with samples."""
+"""Mesh files of surfaces with known formulas."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,10 @@ from scipy.spatial import ConvexHull
 
 
 def even_directions(count):
-    """Unit vectors spread evenly, ``(count, 3)``."""
-    turn = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * turn / count
-    angle = turn * np.pi * (3.0 - np.sqrt(5.0))
+    """Evenly distributed unit vectors, ``(count, 3)``."""
+    index = np.arange(count) + 0.5
+    height = 1.0 - 2.0 * index / count
+    angle = index * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - height**2)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 

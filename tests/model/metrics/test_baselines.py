@@ -11,7 +11,7 @@ from pugeo_model.metrics.clouds import evenness
 
 @pytest.mark.parametrize("method", [baselines.plane, baselines.jet])
 def test_a_plane_is_exact(method, plane):
-    """Both fits keep the points of a plane in it, evenly spread, with its normal."""
+    """Both fits give even points in the plane, with its normal."""
     points, normal = plane
     dense = method(Cloud(points), 4)
     assert len(dense) == 4 * len(points)
@@ -22,34 +22,34 @@ def test_a_plane_is_exact(method, plane):
 
 @pytest.mark.parametrize("ratio", [1.5, 4, 7.3])
 def test_any_ratio(ratio, sphere):
-    """As many points as the pipeline itself would give."""
+    """The number of points is round(R M), as in the pipeline."""
     dense = baselines.plane(Cloud(sphere), ratio)
     assert len(dense) == int(np.floor(ratio * len(sphere) + 0.5))
 
 
-def test_charts_land_spots_on_what_they_describe():
-    """Three exact quadrics of a unit sphere pull spots above it down to it, with its normals."""
+def test_charts_project_onto_their_surface():
+    """Three exact quadrics of a unit sphere project points above it onto it, with its normals."""
     spacing = 0.05
     pole = np.array([0.0, 0.0, 1.0])
     points, axes = [], []
-    for turn in (0.0, 0.05, -0.05):
-        normal = np.array([np.sin(turn), 0.0, np.cos(turn)])
-        first = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+    for angle in (0.0, 0.05, -0.05):
+        normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        first = np.array([np.cos(angle), 0.0, -np.sin(angle)])
         points.append(normal)
         axes.append([first, np.cross(normal, first), normal])
     quadric = np.tile([0, 0, 0, -spacing, 0, -spacing], (3, 1))  # h = -s (u^2 + v^2) / 2
     charts = baselines._Charts(np.array(points), np.array(axes), np.full(3, spacing), quadric)
     others = np.array([[1, 2], [0, 2], [0, 1]], dtype=np.int32)
-    spots = 1.02 * pole + np.random.default_rng(0).uniform(-0.03, 0.03, (50, 3)) * [1, 1, 0]
-    landed = charts.land(spots, np.zeros(50, dtype=np.int32), others)
-    np.testing.assert_allclose(np.linalg.norm(landed.points, axis=1), 1.0, atol=2e-6)
-    np.testing.assert_allclose(landed.normals, landed.points, atol=2e-3)
-    near = np.linalg.norm(spots[:, None] - points, axis=2).argmin(axis=1)
-    assert (landed.nearest == near).all()
+    queries = 1.02 * pole + np.random.default_rng(0).uniform(-0.03, 0.03, (50, 3)) * [1, 1, 0]
+    projected = charts.project(queries, np.zeros(50, dtype=np.int32), others)
+    np.testing.assert_allclose(np.linalg.norm(projected.points, axis=1), 1.0, atol=2e-6)
+    np.testing.assert_allclose(projected.normals, projected.points, atol=2e-3)
+    near = np.linalg.norm(queries[:, None] - points, axis=2).argmin(axis=1)
+    assert (projected.nearest == near).all()
 
 
 def test_a_quadric_knows_curvature(sphere):
-    """On a sphere the normals of a jet are several times as good as those of planes."""
+    """On a sphere the normals of jets are several times as accurate as those of planes."""
     errors = []
     for method in (baselines.plane, baselines.jet):
         dense = method(Cloud(sphere), 4)
@@ -59,7 +59,7 @@ def test_a_quadric_knows_curvature(sphere):
 
 
 def test_place_and_scale_do_not_matter(sphere):
-    """A cloud far away and large comes back far away and large, with the same normals."""
+    """Translation and scale of the input give the same translation and scale of the output."""
     near = baselines.jet(Cloud(sphere), 4)
     far = baselines.jet(Cloud(100 * sphere + [5e5, 0, 0]), 4)
     np.testing.assert_allclose((far.points - [5e5, 0, 0]) / 100, near.points, atol=1e-6)

@@ -19,15 +19,15 @@ def grid():
     return np.concatenate([flat, np.zeros((100, 1))], axis=1)
 
 
-def test_lifted_grid_is_as_far_as_it_is_lifted(grid):
-    """A copy lifted by 0.01 has CD = HD = 0.01 exactly."""
+def test_a_shifted_grid(grid):
+    """A copy shifted by 0.01 along its normal has CD = HD = 0.01."""
     there, back = nearest_both(grid, grid + [0, 0, 0.01])
     assert chamfer(there, back) == pytest.approx(0.01)
     assert hausdorff(there, back) == pytest.approx(0.01)
 
 
 def test_one_outlier_is_the_hausdorff_distance(grid):
-    """HD is the one worst distance, whichever side it is on."""
+    """HD is the largest distance of both directions."""
     off = grid.copy()
     off[0, 2] = 0.3
     assert hausdorff(*nearest_both(off, grid)) == pytest.approx(0.3)
@@ -41,7 +41,7 @@ def test_jensen_shannon_bounds(grid):
 
 
 def test_sphere_distances_ignore_place_and_scale(grid):
-    """SCD and sHD of a moved and scaled copy are 0; both are squared, summed over both sides."""
+    """The distances of a moved and scaled copy are 0; others are sums of squares of both sides."""
     assert sphere_distances(grid, 3 * grid + 1) == pytest.approx((0.0, 0.0), abs=1e-20)
     ring = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float)
     turned = np.array([[1, 1, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0]]) / np.sqrt(2)
@@ -50,5 +50,5 @@ def test_sphere_distances_ignore_place_and_scale(grid):
 
 
 def test_evenness_of_a_grid_is_zero(grid):
-    """All nearest distances equal: no variation."""
+    """Equal nearest distances have no variation."""
     assert evenness(grid) == pytest.approx(0.0, abs=1e-12)

@@ -6,7 +6,7 @@ pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import write
-from pugeo_model.training.corpus import poisson_disk
+from pugeo_model.mesh.sampling import poisson_disk
 
 
 def test_known_offset_and_tilt(square):
@@ -28,7 +28,7 @@ def test_known_offset_and_tilt(square):
 
 
 def test_signs_are_counted_apart(square):
-    """One normal in four turned over: angles stay 0 to the last digits, three are outward."""
+    """Wrong signs change the fraction of outward normals, not the angles."""
     from pugeo_model.metrics.evaluation import Truth, measure
 
     flat = np.concatenate(
@@ -54,21 +54,21 @@ def samples(ball, tmp_path):
     return tmp_path
 
 
-def test_a_method_is_measured_as_it_is(ball, samples):
-    """A method that lifts everything by 0.001 and repeats it has that P2F, its input and ratio."""
+def test_a_method_with_known_error(ball, samples):
+    """A method that shifts points by 0.001 and 0.002 gets the mean of these as P2F."""
     from pugeo_model.metrics.evaluation import Case, Truth, evaluate
 
-    asked = []
+    calls = []
 
     def lift(cloud, ratio):
-        asked.append((len(cloud), ratio))
+        calls.append((len(cloud), ratio))
         unit = cloud.points / np.linalg.norm(cloud.points, axis=1, keepdims=True)
         points = np.concatenate([cloud.points + 0.001 * unit, cloud.points + 0.002 * unit])
         return Cloud(points, normals=np.tile(unit, (2, 1)))
 
     cases = [Case("a", 2, 600), Case("b", 2, 600)]
     found = list(evaluate(lift, [Truth(ball)], samples, cases))
-    assert asked == [(300, 2), (300, 2)]
+    assert calls == [(300, 2), (300, 2)]
     assert [each.case for each in found] == cases
     for each in found:
         assert each.row["P2F"] == pytest.approx(1.5, abs=0.01)
@@ -90,16 +90,3 @@ def test_the_limit_is_shared_by_cases(ball, samples):
     assert first.row["normal_mean"] < 1e-4
     assert first.row["evenness"] < 0.1
     assert 0 < first.row["CD"] < 100 * np.sqrt(np.pi / 600)
-
-
-def test_poisson_disk_is_exact_and_even(square):
-    """The limit's sample has the number of points asked for, on the mesh, evenly spread."""
-    from pugeo_model.metrics.clouds import evenness
-    from pugeo_model.metrics.evaluation import Truth
-    from pugeo_model.training.corpus import poisson_disk
-
-    truth = Truth(square)
-    points = poisson_disk(truth.vertices, truth.faces, 1000, np.random.default_rng(0))
-    assert points.shape == (1000, 3)
-    assert np.abs(points[:, 2]).max() == 0.0
-    assert evenness(points) < 0.1

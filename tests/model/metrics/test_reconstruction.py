@@ -9,7 +9,7 @@ pytest.importorskip("igl", reason="evaluation needs the evaluate extra")
 
 @pytest.fixture
 def poisson():
-    """The reconstruction, where its library is installed."""
+    """The reconstruction, if its library is installed."""
     pytest.importorskip("pycolmap", reason="reconstruction needs the evaluate extra")
     from pugeo_model.metrics.reconstruction import reconstruct
 
@@ -23,7 +23,7 @@ def flat(height):
 
 
 def test_a_sphere_comes_back(poisson, sphere):
-    """Points of a sphere with outward normals give one closed surface, on the sphere."""
+    """Points of a sphere with outward normals give one closed surface on the sphere."""
     vertices, faces = poisson(0.5 * sphere, sphere, 7)
     radius = np.linalg.norm(vertices, axis=1)
     assert np.abs(radius - 0.5).max() < 2e-3
@@ -38,13 +38,13 @@ def test_a_sphere_comes_back(poisson, sphere):
 
 
 def test_the_same_points_give_the_same_surface(poisson, sphere):
-    """Figures can be compared: a second run gives the same mesh, bit by bit."""
+    """A second run gives the same mesh, bit for bit."""
     once, again = (poisson(0.5 * sphere, sphere, 6) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(once, again, strict=True))
 
 
-def test_a_shifted_surface_is_as_far_as_it_is_shifted(square):
-    """A square 0.1 above the true one: CD# is 10 (1e-2), HD# hardly more, JSD# 1 bit."""
+def test_a_shifted_surface(square):
+    """A square 0.1 above the true one has CD# 10 (1e-2), a slightly larger HD#, and JSD# 1 bit."""
     from pugeo_model.metrics.evaluation import Truth, measure_surface
 
     row = measure_surface(flat(0.1), Truth(square))
@@ -55,7 +55,7 @@ def test_a_shifted_surface_is_as_far_as_it_is_shifted(square):
 
 
 def test_the_floor_of_the_columns(square):
-    """The true surface itself has the CD# of two independent samples, sqrt(area / 200000) / 2."""
+    """The true surface has the CD# of two independent samples, sqrt(area / 200000) / 2."""
     from pugeo_model.metrics.evaluation import Truth, measure_surface
 
     row = measure_surface(flat(0.0), Truth(square))
@@ -64,7 +64,7 @@ def test_the_floor_of_the_columns(square):
 
 
 def test_without_the_library(monkeypatch):
-    """Where pycolmap is missing the message says how to get it."""
+    """Without pycolmap the error names the extra to install."""
     from pugeo_model.metrics.reconstruction import library
 
     monkeypatch.setitem(sys.modules, "pycolmap", None)

@@ -17,11 +17,11 @@ import igl
 from pugeo_model.cli import app
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import write
+from pugeo_model.mesh.sampling import poisson_disk
 from pugeo_model.metrics.evaluation import COLUMNS, Case, Truth
 from pugeo_model.metrics.pictures import draw
 from pugeo_model.metrics.report import evaluate_all
 from pugeo_model.metrics.tables import table
-from pugeo_model.training.corpus import poisson_disk
 from pugeo_model.weights import locate
 
 CASES = [Case("300", 2, 600), Case("300", 4, 1200)]
@@ -42,7 +42,7 @@ def shapes(ball, tmp_path):
 
 @pytest.fixture
 def weights(tmp_path):
-    """A copy of the released weights, whose card may be written to."""
+    """A copy of the released weights, with a card that may be changed."""
     released = locate("standard")
     for path in (released, released.with_suffix(".json")):
         shutil.copy(path, tmp_path / f"copy{path.suffix}")
@@ -50,7 +50,7 @@ def weights(tmp_path):
 
 
 def test_everything_at_once(shapes, weights, tmp_path, monkeypatch):
-    """All methods in all cases: JSON, report, picture and card agree, and progress is complete."""
+    """JSON, report, picture and card of all methods and cases agree; progress is complete."""
     monkeypatch.setattr("pugeo_model.metrics.pictures.draw", partial(draw, pixels=100))
     ticks = []
     text = evaluate_all(
@@ -61,12 +61,12 @@ def test_everything_at_once(shapes, weights, tmp_path, monkeypatch):
         out=tmp_path / "out.json",
         report=tmp_path / "new/report",
         card=True,
-        tick=lambda *told: ticks.append(told),
+        tick=lambda *call: ticks.append(call),
     )
     names = ["ours", "plane", "jet", *(["poisson"] if find_spec("pycolmap") else []), "limit"]
     figures = json.loads((tmp_path / "out.json").read_text("utf-8"))
     assert [list(sources) for sources in figures["means"].values()] == [names, names]
-    assert [told[1:] for told in ticks] == [(n + 1, 2 * len(names)) for n in range(2 * len(names))]
+    assert [call[1:] for call in ticks] == [(n + 1, 2 * len(names)) for n in range(2 * len(names))]
     for sources in figures["means"].values():
         assert set(sources["ours"]) == {*COLUMNS[:-3], "seconds"}
         assert sources["limit"]["P2F"] < 1e-3 < sources["ours"]["P2F"] < sources["plane"]["P2F"]
@@ -84,7 +84,7 @@ def test_everything_at_once(shapes, weights, tmp_path, monkeypatch):
 
 
 def test_reconstructed_surfaces_have_columns(shapes, monkeypatch):
-    """On a smooth ball the surfaces from our cloud and from the limit's are as good."""
+    """On a smooth ball the surfaces from the model and from the limit are equally accurate."""
     pytest.importorskip("pycolmap", reason="reconstruction needs the evaluate extra")
     monkeypatch.setattr("pugeo_model.metrics.evaluation._SURFACE_SAMPLES", 20_000)
     text = evaluate_all("standard", *shapes, cases=CASES[1:], surfaces=True)
@@ -95,8 +95,8 @@ def test_reconstructed_surfaces_have_columns(shapes, monkeypatch):
     assert 0.97 * floor < float(ours[where]) < 1.1 * floor
 
 
-def test_tables_leave_out_what_nobody_measured():
-    """Columns without a value vanish, single missing values are blank, the rest is rounded."""
+def test_tables_omit_empty_columns():
+    """Empty columns are omitted, missing values are blank, values are rounded."""
     text = table([(("a",), {"CD": 0.12345, "P2F": 2.0}), (("b",), {"CD": 1.0})], ("shape",))
     assert text.splitlines() == [
         "| shape | CD | P2F |",
@@ -111,7 +111,7 @@ def test_tables_leave_out_what_nobody_measured():
     [("pycolmap", ["--reconstruct"]), ("matplotlib", ["--report", "new"])],
 )
 def test_a_missing_library_is_named_at_once(gone, flags, tmp_path, monkeypatch):
-    """Before anything is measured: the library, and the extra that it comes with."""
+    """A missing library is an error before the evaluation; it names the library and the extra."""
     monkeypatch.setitem(sys.modules, gone, None)
     done = CliRunner().invoke(
         app, ["evaluate", "--meshes", str(tmp_path), "--samples", str(tmp_path), *flags]
@@ -121,8 +121,8 @@ def test_a_missing_library_is_named_at_once(gone, flags, tmp_path, monkeypatch):
     assert "pugeo[evaluate]" in done.output
 
 
-def test_unknown_cases_and_empty_folders_are_told(tmp_path):
-    """A case that does not exist, and a folder without meshes, are one line."""
+def test_unknown_cases_and_empty_folders(tmp_path):
+    """An unknown case and a folder without meshes are errors that name them."""
     folders = ["--meshes", str(tmp_path), "--samples", str(tmp_path)]
     done = CliRunner().invoke(app, ["evaluate", *folders, "--case", "7 x7"])
     assert done.exit_code == 2

@@ -3,21 +3,31 @@
 
 import asyncio
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from pugeo_service.engine.flow import Flow
-from pugeo_service.engine.lanes import Lanes
-from pugeo_service.engine.order import Head, InMemory, Order, Outcome, Sheet, Watcher
-from pugeo_service.engine.sample import sample_order
-from pugeo_service.shared_file import SharedFile
+from pugeo_service.engine.backend import Backend
+from pugeo_service.engine.messages import (
+    AgreementInfo,
+    DenseInfo,
+    InMemory,
+    OutputInfo,
+    PreparedInfo,
+    ProgressCallbacks,
+    RunRequest,
+    RunResult,
+)
+from pugeo_service.engine.orchestrator import Orchestrator
+from pugeo_service.engine.scheduling import SchedulingPolicy
+from pugeo_service.engine.self_test import self_test_request
+from pugeo_service.storage.shared_file import SharedFile
 
-__all__ = ["ORDER", "Handle", "Recorder", "run"]
+__all__ = ["REQUEST", "Handle", "Recorder", "run"]
 
-ORDER = replace(sample_order("standard", deadline_s=60.0), batch_patches=2)
+REQUEST = self_test_request("standard", deadline_s=60.0)
 
 
 @dataclass(eq=False)
@@ -28,7 +38,7 @@ class Handle:
     args: tuple[Any, ...]
     priority: float
     long: bool
-    place: str | None
+    worker: str | None
     live: bool = True
 
 
@@ -45,7 +55,7 @@ class Recorder:
     running: int = 0
     most_running: int = 0
     warm_workers = 2
-    places = ("one", "two")
+    worker_names = ("one", "two")
     lost_workers = 0
     retried_patches = 0
 
@@ -56,19 +66,20 @@ class Recorder:
 
     def submit(
         self,
-        stage: str,
+        stage: Callable[..., Any],
         *args: Any,
         priority: float,
         seconds: float,
         long: bool,
         patches: int = 0,
-        place: str | None = None,
+        worker: str | None = None,
     ) -> Handle:
-        assert 0 < seconds <= ORDER.deadline_s
-        spans = {"predict": lambda: args[0].args[1:3], "predict_part": lambda: args[1:3]}
-        start, stop = spans.get(stage, lambda: (0, 0))()
+        assert 0 < seconds <= REQUEST.deadline_s
+        name = stage.__name__
+        spans = {"predict": lambda: args[0].args[1:3], "predict_in_place": lambda: args[1:3]}
+        start, stop = spans.get(name, lambda: (0, 0))()
         assert patches == stop - start
-        self.handles.append(Handle(stage, args, priority, long, place))
+        self.handles.append(Handle(name, args, priority, long, worker))
         return self.handles[-1]
 
     async def wait(self, handle: Handle) -> None:
@@ -87,16 +98,18 @@ class Recorder:
             raise KeyError(self.fails)
         whole = handle.args[0].stage == "prepare"
         answers: dict[str, Any] = {
-            "describe_prepared": Head(
+            "describe_prepared": PreparedInfo(
                 self.patches, self.tiles if whole else 1, {"prepare": 1.0}, self.by_rows
             ),
-            "describe_finished": ({"land": 0.5, "merge": 0.25, "finish": 1.0}, [(0.1, 2)]),
-            "describe_agreed": ({"points_in": 1}, 2.0),
-            "describe_written": Sheet(
+            "describe_dense": DenseInfo({"project": 0.5, "merge": 0.25, "finish": 1.0}, [(0.1, 2)]),
+            "describe_agreements": AgreementInfo({"points_in": 1}, {"finish": 2.0}),
+            "describe_output": OutputInfo(
                 3, b"0" if handle.args[-1] else b"", {"points_in": 1}, {"finish": 0.0, "write": 0.0}
             ),
         }
-        return self.chunk(*handle.args[1:]) if handle.stage == "chunk" else answers[handle.stage]
+        if handle.stage == "read_chunk":
+            return self.chunk(*handle.args[1:])
+        return answers[handle.stage]
 
     def chunk(self, start: int, _file: SharedFile, _offset: int) -> bytes | int:
         return str(start).encode()
@@ -108,24 +121,30 @@ class Recorder:
     cancel = release
 
     def of(self, stage: str) -> list[Handle]:
-        """The tasks of one stage, in the order they were submitted."""
+        """The tasks of one stage, in the request they were submitted."""
         return [handle for handle in self.handles if handle.stage == stage]
 
 
 def run(
     pool: Recorder,
     tmp_path: Path,
-    watcher: Watcher | None = None,
+    progress: ProgressCallbacks | None = None,
     *,
-    order: Order = ORDER,
+    request: RunRequest = REQUEST,
     size: int = 10,
-    lanes: Lanes | None = None,
-) -> tuple[Outcome, bytes]:
-    """Run the order on the pool; return the outcome and its bytes."""
+    policy: SchedulingPolicy | None = None,
+) -> tuple[RunResult, bytes]:
+    """Run the request on the pool; return the outcome and its bytes."""
 
-    async def whole() -> tuple[Outcome, bytes]:
-        flow = Flow(pool, order, lanes or Lanes(lambda: 2), watcher or Watcher(), tmp_path)
-        outcome = await flow.run(InMemory(np.zeros(size, np.uint8)))
+    async def whole() -> tuple[RunResult, bytes]:
+        orchestrator = Orchestrator(
+            cast("Backend", pool),
+            request,
+            policy or SchedulingPolicy(lambda: 2),
+            progress or ProgressCallbacks(),
+            tmp_path,
+        )
+        outcome = await orchestrator.run(InMemory(np.zeros(size, np.uint8)))
         with outcome.spool as spool:
             return outcome, (await spool.read()).tobytes()
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from tests.service.engine.recorder import Handle, Recorder, run
 
-from pugeo_service.engine.errors import DiskFailed, EngineLost
-from pugeo_service.shared_file import SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.engine.errors import DiskError, EngineLostError
+from pugeo_service.storage.shared_file import SharedFile
+from pugeo_service.storage.spool import Spool
 
 
 def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
@@ -21,9 +21,9 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
 
     class Watched(Recorder):
         async def fetch(self, handle: Handle) -> Any:
-            if handle.stage == "chunk":
+            if handle.stage == "read_chunk":
                 await asyncio.sleep(0.05)
-                live.append(sum(each.live for each in self.of("finish_tile")))
+                live.append(sum(each.live for each in self.of("densify")))
             return await super().fetch(handle)
 
     pool = Watched(9, tiles=5, by_rows=True)
@@ -39,7 +39,7 @@ def test_tiles_are_written_where_they_are(tmp_path: Path) -> None:
     assert all(handle.args[1] is agreed for handle in written)
     assert outcome.report == {"points_in": 1}
     assert (outcome.seconds["finish"], outcome.seconds["write"]) == (7.0, 0.0)
-    assert (outcome.seconds["land"], outcome.seconds["merge"]) == (2.5, 1.25)
+    assert (outcome.seconds["project"], outcome.seconds["merge"]) == (2.5, 1.25)
     assert not any(handle.live for handle in pool.handles)
 
 
@@ -67,7 +67,7 @@ def test_a_part_that_changed(tmp_path: Path, again: bytes) -> None:
             return again if start else b""
 
     pool = Changed(3)
-    with pytest.raises(EngineLost, match="changed"):
+    with pytest.raises(EngineLostError, match="changed"):
         run(pool, tmp_path)
     assert not any(handle.live for handle in pool.handles)
 
@@ -80,7 +80,7 @@ def test_a_full_disk_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(Spool, "_store", store)
     pool = Recorder(3)
-    with pytest.raises(DiskFailed) as caught:
+    with pytest.raises(DiskError) as caught:
         run(pool, tmp_path)
     assert caught.value.error.errno == errno.ENOSPC
     assert not any(handle.live for handle in pool.handles)

@@ -13,17 +13,17 @@ import torch
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, formats, tiles
-from pugeo_model.plan import Result
+from pugeo_model.assembly import Result
 from pugeo_model.upsampler import Upsampler
 from pugeo_service.engine import Engine
-from pugeo_service.engine.order import InMemory
-from pugeo_service.engine.sample import sample_order
+from pugeo_service.engine.messages import InMemory
+from pugeo_service.engine.self_test import self_test_request
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 
-ORDER = replace(
-    sample_order("standard", deadline_s=60.0), max_points=10_000, max_output_points=20_000
+REQUEST = replace(
+    self_test_request("standard", deadline_s=60.0), max_points=10_000, max_output_points=20_000
 )
 
 
@@ -51,14 +51,14 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
     """Points of the engine's answer."""
     body = io.BytesIO()
     formats.write(cloud, body, format="ply")
-    order = replace(ORDER, at_once_patches=at_once)
+    request = replace(REQUEST, one_task_patches=at_once)
 
     async def whole() -> bytes:
         engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path))
         await engine.start()
         try:
             data = InMemory(np.frombuffer(body.getvalue(), np.uint8))
-            outcome = await engine.run(data, order, on_patches=ignore, on_done=ignore)
+            outcome = await engine.run(data, request, on_patches=ignore, on_done=ignore)
             with outcome.spool as spool:
                 return (await spool.read()).tobytes()
         finally:

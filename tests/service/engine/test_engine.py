@@ -14,24 +14,24 @@ import pytest
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, formats
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_service.engine import (
-    DiskFailed,
+    DiskError,
     Engine,
-    EngineLost,
-    Order,
-    Outcome,
-    WorkerLost,
-    dask_pool,
+    EngineLostError,
+    RunRequest,
+    RunResult,
+    WorkerLostError,
+    dask_backend,
 )
-from pugeo_service.engine.sample import sample_body, sample_order
+from pugeo_service.engine.self_test import self_test_body, self_test_request
 from pugeo_service.settings import Settings
-from pugeo_service.shared_file import NOWHERE, SharedFile
-from pugeo_service.spool import Spool
+from pugeo_service.storage.shared_file import NOWHERE, SharedFile
+from pugeo_service.storage.spool import Spool
 
 pytestmark = pytest.mark.slow
 
-ORDER = sample_order("standard", deadline_s=60.0)
+REQUEST = self_test_request("standard", deadline_s=60.0)
 
 
 class Progress:
@@ -43,14 +43,14 @@ class Progress:
 
 
 async def run(
-    engine: Engine, data: bytes, tmp_path: Path, order: Order = ORDER
-) -> tuple[Outcome, Progress]:
+    engine: Engine, data: bytes, tmp_path: Path, request: RunRequest = REQUEST
+) -> tuple[RunResult, Progress]:
     """Run an order on some bytes."""
     progress = Progress()
     with Spool(tmp_path) as body:
         await body.write(data)
         outcome = await engine.run(
-            body, order, on_patches=progress.patches.append, on_done=progress.done.append
+            body, request, on_patches=progress.patches.append, on_done=progress.done.append
         )
     # What the engine's thread told last may still be on its way.
     await asyncio.sleep(0)
@@ -73,7 +73,7 @@ def play(settings: Settings, scenario: Callable[[Engine], Awaitable[None]]) -> N
     asyncio.run(whole())
 
 
-def points(outcome: Outcome) -> NDArray[np.float32]:
+def points(outcome: RunResult) -> NDArray[np.float32]:
     """The points of an answer, which is closed."""
 
     async def read() -> bytes:
@@ -87,20 +87,20 @@ def points(outcome: Outcome) -> NDArray[np.float32]:
 def test_both_pools_do_the_same(tmp_path: Path, kind: Literal["dask", "inline"]) -> None:
     """Outcome, report, stages, progress and errors do not depend on where tasks run."""
     settings = Settings(engine=kind, workers=2, spool_dir=tmp_path)
-    found: list[Outcome] = []
+    found: list[RunResult] = []
 
     async def scenario(engine: Engine) -> None:
-        outcome, progress = await run(engine, sample_body().tobytes(), tmp_path)
+        outcome, progress = await run(engine, self_test_body().tobytes(), tmp_path)
         found.append(outcome)
         assert outcome.report["points_out"] == 6000
         assert progress.patches == [2]
         assert progress.done == [1, 1]
         assert [patches for _, patches in outcome.batches] == [1, 1]
         assert list(outcome.seconds) == [
-            "queue", "read", "prepare", "predict", "land", "merge", "finish", "write", "collect",
+            "queue", "read", "prepare", "predict", "merge", "project", "finish", "write", "collect",
         ]  # fmt: skip
-        with pytest.raises(MalformedFile):
-            await run(engine, sample_body().tobytes()[:-1], tmp_path)
+        with pytest.raises(MalformedFileError):
+            await run(engine, self_test_body().tobytes()[:-1], tmp_path)
 
     play(settings, scenario)
     sphere = points(found[0])
@@ -130,7 +130,7 @@ def test_the_answer_comes_by_file_or_by_connection(
         for here in (True, False):
             if not here:
                 monkeypatch.setattr(Spool, "share", elsewhere)
-            outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)
+            outcome, _ = await run(engine, self_test_body().tobytes(), tmp_path)
             with outcome.spool as spool:
                 answers.append((await spool.read()).tobytes())
 
@@ -145,14 +145,14 @@ def test_a_poisonous_request_harms_nobody_else(
 ) -> None:
     """It fails alone, after its second chance; requests beside it and after it are served."""
     trap = Path(__file__).with_name("preload_poison.py")
-    config = {**dask_pool._CONFIG, "distributed.worker.preload": [str(trap)]}
-    monkeypatch.setattr(dask_pool, "_CONFIG", config)
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": [str(trap)]}
+    monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
     async def scenario(engine: Engine) -> None:
-        data = sample_body().tobytes()
+        data = self_test_body().tobytes()
         poison = asyncio.create_task(run(engine, b"POISON", tmp_path))
         beside = [asyncio.create_task(run(engine, data, tmp_path)) for _ in range(3)]
-        with pytest.raises(WorkerLost):
+        with pytest.raises(WorkerLostError):
             await poison
         for task in beside:
             (await task)[0].spool.close()
@@ -168,7 +168,7 @@ def test_cancelling_an_order(tmp_path: Path) -> None:
     directions = np.random.default_rng(0).normal(size=(200_000, 3))
     buffer = io.BytesIO()
     formats.write(Cloud(directions), buffer, format="ply")
-    large = dataclasses.replace(ORDER, max_points=10**6, max_output_points=10**7)
+    large = dataclasses.replace(REQUEST, max_points=10**6, max_output_points=10**7)
 
     async def scenario(engine: Engine) -> None:
         order = asyncio.create_task(run(engine, buffer.getvalue(), tmp_path, large))
@@ -177,7 +177,7 @@ def test_cancelling_an_order(tmp_path: Path) -> None:
         with pytest.raises(asyncio.CancelledError):
             await order
         async with asyncio.timeout(20):
-            (await run(engine, sample_body().tobytes(), tmp_path))[0].spool.close()
+            (await run(engine, self_test_body().tobytes(), tmp_path))[0].spool.close()
 
     play(Settings(workers=2, spool_dir=tmp_path), scenario)
 
@@ -187,7 +187,7 @@ def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
 
     async def scenario() -> None:
         engine = Engine(Settings(spool_dir=tmp_path))
-        with pytest.raises(EngineLost):
+        with pytest.raises(EngineLostError):
             await run(engine, b"", tmp_path)
         await engine.stop()
 
@@ -204,10 +204,10 @@ def test_a_body_that_cannot_be_read(tmp_path: Path) -> None:
             raise OSError(errno.EIO, "gone")
 
     async def scenario(engine: Engine) -> None:
-        with pytest.raises(DiskFailed) as caught:
-            await engine.run(Unreadable(), ORDER, on_patches=print, on_done=print)
+        with pytest.raises(DiskError) as caught:
+            await engine.run(Unreadable(), REQUEST, on_patches=print, on_done=print)
         assert caught.value.error.errno == errno.EIO
-        outcome, _ = await run(engine, sample_body().tobytes(), tmp_path)
+        outcome, _ = await run(engine, self_test_body().tobytes(), tmp_path)
         outcome.spool.close()
 
     play(Settings(engine="inline", workers=1, spool_dir=tmp_path), scenario)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from pugeo_service.engine.sample import sample_order
 
 from pugeo_model import Cloud, formats, tiles
 from pugeo_model.network.build import build_network
@@ -17,8 +18,7 @@ from pugeo_model.network.pugeo import Architecture
 from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import save
 from pugeo_service.engine import Engine
-from pugeo_service.engine.order import InMemory
-from pugeo_service.engine.sample import sample_order
+from pugeo_service.engine.messages import InMemory
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
@@ -52,7 +52,7 @@ def answer(cloud: Cloud, weights: str, at_once: int, folder: Path) -> NDArray[np
         sample_order(weights, deadline_s=60.0),
         max_points=10_000,
         max_output_points=20_000,
-        at_once_patches=at_once,
+        one_task_patches=at_once,
     )
 
     async def whole() -> bytes:

@@ -17,14 +17,14 @@ from typing import Any
 import httpx2
 import pytest
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_service import app as app_module
 from pugeo_service.app import create_app
-from pugeo_service.engine import EngineLost, Order, Outcome, WorkerLost
+from pugeo_service.engine import EngineLostError, RunRequest, RunResult, WorkerLostError
 from pugeo_service.engine.engine import Status
-from pugeo_service.jobs.service import Jobs
+from pugeo_service.jobs.manager import Jobs
 from pugeo_service.settings import Settings
-from pugeo_service.spool import Spool
+from pugeo_service.storage.spool import Spool
 
 REPORT = {
     "points_in": 4,
@@ -45,7 +45,7 @@ class PlayedEngine:
         self.hold = asyncio.Event()
         self.hold.set()
         self.began: list[bytes] = []
-        self.orders: list[Order] = []
+        self.orders: list[RunRequest] = []
         self.running = 0
         self.most_running = 0
         self.lose = 0
@@ -63,12 +63,12 @@ class PlayedEngine:
     async def run(
         self,
         body: Any,
-        order: Order,
+        order: RunRequest,
         *,
         on_patches: Callable[[int], object],
         on_done: Callable[[int], object],
         on_stage: Callable[[str], object] = lambda _: None,
-    ) -> Outcome:
+    ) -> RunResult:
         data = (await body.read()).tobytes()
         self.began.append(data)
         self.orders.append(order)
@@ -87,18 +87,18 @@ class PlayedEngine:
             self.running -= 1
         spool = Spool(self.settings.spool_dir)
         await spool.write(b"dense " + data * 2)
-        return Outcome(spool, REPORT, {"queue": 0.0, "predict": 0.5}, [(0.5, 4)])
+        return RunResult(spool, REPORT, {"queue": 0.0, "predict": 0.5}, [(0.5, 4)])
 
     def _go_wrong(self, data: bytes) -> None:
         if data.startswith(b"malformed"):
-            raise MalformedFile("it is broken", code="malformed_file", row=7)
+            raise MalformedFileError("it is broken", code="malformed_file", row=7)
         if data.startswith(b"poison"):
-            raise WorkerLost("it ended two workers")
+            raise WorkerLostError("it ended two workers")
         if data.startswith(b"bug"):
             raise ZeroDivisionError
         if self.lose:
             self.lose -= 1
-            raise EngineLost("the scheduler is gone")
+            raise EngineLostError("the scheduler is gone")
 
 
 class House:
@@ -168,8 +168,8 @@ def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: st
     monkeypatch.setattr(app_module, "Engine", PlayedEngine)
     monkeypatch.setattr("pugeo_service.jobs.runner._LOOK_S", 0.05)
     monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 0.02)
-    monkeypatch.setattr("pugeo_service.jobs.keeper._ROUND_S", 0.05)
-    monkeypatch.setattr("pugeo_service.jobs.settle._AGAIN_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._ROUND_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._AGAIN_S", 0.05)
 
     @asynccontextmanager
     async def opened(**settings: Any) -> AsyncIterator[House]:

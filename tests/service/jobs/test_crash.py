@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.jobs import queue
-from pugeo_service.jobs.presence import Presence
+from pugeo_service.jobs import runner_queries
+from pugeo_service.jobs.process_lock import Presence
 
 
 def test_a_drain_parks_what_runs(open_house: Any) -> None:
@@ -163,7 +163,7 @@ def test_what_comes_while_the_sweep_looks(open_house: Any, monkeypatch: pytest.M
     async def whole() -> None:
         async with open_house() as house:
             late = house.folder / "inputs" / "late"
-        wanted = queue.wanted
+        wanted = runner_queries.wanted
 
         def meanwhile(connection: Any) -> Any:
             found = wanted(connection)
@@ -171,7 +171,7 @@ def test_what_comes_while_the_sweep_looks(open_house: Any, monkeypatch: pytest.M
             late.write_bytes(b"whole")
             return found
 
-        monkeypatch.setattr(queue, "wanted", meanwhile)
+        monkeypatch.setattr(runner_queries, "wanted", meanwhile)
         async with open_house() as house:
             assert house.names("inputs") == ["late"]
 
@@ -208,7 +208,9 @@ def test_a_claim_whose_answer_was_lost(play: Any, monkeypatch: pytest.MonkeyPatc
         runner = house.jobs._runner
         runner._limit, limit = 0, runner._limit
         job = await house.submit()
-        await house.jobs._database.write(queue.claim, house.jobs._presence.name, time.time())
+        await house.jobs._database.write(
+            runner_queries.claim, house.jobs._presence.name, time.time()
+        )
         runner._limit = limit
         done = await house.until(job["id"], "succeeded")
         assert done["attempts"] == 2
@@ -219,7 +221,7 @@ def test_a_claim_whose_answer_was_lost(play: Any, monkeypatch: pytest.MonkeyPatc
 def test_a_killed_process_is_dead(tmp_path: Path) -> None:
     """Its lock goes with it, at once; while it lives, even stopped, it counts as alive."""
     code = (
-        "import sys, time; from pathlib import Path; from pugeo_service.jobs.presence import "
+        "import sys, time; from pathlib import Path; from pugeo_service.jobs.process_lock import "
         "Presence; p = Presence(Path(sys.argv[1])); p.enter(); print(p.name, flush=True); "
         "time.sleep(60)"
     )

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from pugeo_service.jobs.change_feed import Watch
 from pugeo_service.jobs.events import stream
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.watch import Watch
+from pugeo_service.jobs.models import Job
 
 JOB = Job(
     id="1", owner="", state="queued", revision=1, idempotency_key=None, request_digest="",
@@ -175,9 +175,9 @@ def test_silence_is_filled() -> None:
 
 def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """One more than the bound is refused; those that left make room."""
-    from pugeo_service.problems import Problem
+    from pugeo_service.problems import ProblemError
 
-    monkeypatch.setattr("pugeo_service.jobs.watch._MOST_WATCHERS", 2)
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._MOST_WATCHERS", 2)
 
     async def nothing(_: list[str]) -> list[Job]:
         return []
@@ -185,7 +185,7 @@ def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
         watch = Watch(nothing)
         with watch.following("a"):
-            with watch.following("a"), pytest.raises(Problem):
+            with watch.following("a"), pytest.raises(ProblemError):
                 watch.check()
             watch.check()
 

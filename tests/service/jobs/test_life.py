@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 
 
 def test_a_job_from_beginning_to_end(play: Any) -> None:
@@ -94,7 +94,7 @@ def test_a_job_of_malformed_bytes_tells_where(play: Any) -> None:
 
 def test_an_engine_that_is_gone_is_waited_for(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A lost scheduler is no fault of the job: it goes back into the queue, uncounted."""
-    monkeypatch.setattr("pugeo_service.jobs.settle._ENGINE_BACK_S", 0.1)
+    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_BACK_S", 0.1)
 
     async def scenario(house: Any) -> None:
         house.engine.lose = 7  # more often than a job may be begun
@@ -163,7 +163,7 @@ def test_an_error_with_strange_numbers(play: Any) -> None:
 
     async def scenario(house: Any) -> None:
         def go_wrong(_: bytes) -> None:
-            raise MalformedFile("broken", value=10**30, limit=np.int64(3), mean=float("nan"))
+            raise MalformedFileError("broken", value=10**30, limit=np.int64(3), mean=float("nan"))
 
         house.engine._go_wrong = go_wrong
         job = await house.submit()

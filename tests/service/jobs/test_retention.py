@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from sqlalchemy import create_engine
 
-from pugeo_service.jobs import queue, store
-from pugeo_service.jobs.record import Job
+from pugeo_service.jobs import client_queries, runner_queries
+from pugeo_service.jobs.models import Job
 from pugeo_service.jobs.schema import metadata
 
 
@@ -30,7 +30,7 @@ def test_results_expire(play: Any) -> None:
 
 def test_a_result_is_not_served_a_moment_too_long(play: Any, monkeypatch: Any) -> None:
     """Its time counts, and not when somebody got round to deleting it."""
-    monkeypatch.setattr("pugeo_service.jobs.keeper._ROUND_S", 60.0)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._ROUND_S", 60.0)
 
     async def scenario(house: Any) -> None:
         job = await house.submit()
@@ -44,8 +44,8 @@ def test_a_result_is_not_served_a_moment_too_long(play: Any, monkeypatch: Any) -
 
 def test_rows_are_forgotten(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Long after its end a job is a 404; one that is not finished is never forgotten."""
-    monkeypatch.setattr("pugeo_service.jobs.keeper._REMEMBER_S", 0.2)
-    monkeypatch.setattr("pugeo_service.jobs.keeper._SWEEP_S", 0.0)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._REMEMBER_S", 0.2)
+    monkeypatch.setattr("pugeo_service.jobs.maintenance._SWEEP_S", 0.0)
 
     async def scenario(house: Any) -> None:
         bad = await house.submit(b"malformed")
@@ -119,10 +119,12 @@ def test_more_expire_than_a_statement_has_parameters() -> None:
     ids = [f"{number:032x}" for number in range(20)]
     with engine.begin() as connection:
         for name in ids:
-            store.add(connection, dataclasses.replace(job, id=name), lambda *_: None)
+            client_queries.add(connection, dataclasses.replace(job, id=name), lambda *_: None)
         driver: Any = connection.connection.driver_connection
         driver.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 19)
-        assert sorted(queue.expire(connection, 2.0)) == ids
-        assert queue.expire(connection, 2.0) == []
-        assert {found.state for found in store.page(connection, "", None, None, 99)} == {"expired"}
+        assert sorted(runner_queries.expire(connection, 2.0)) == ids
+        assert runner_queries.expire(connection, 2.0) == []
+        assert {found.state for found in client_queries.page(connection, "", None, None, 99)} == {
+            "expired"
+        }
     engine.dispose()

@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.engine import DiskFailed
-from pugeo_service.jobs import store
+from pugeo_service.engine import DiskError
+from pugeo_service.jobs import client_queries
 from pugeo_service.jobs.database import Database
 
 
@@ -67,7 +67,7 @@ def test_a_disk_that_fails_otherwise(play: Any, monkeypatch: pytest.MonkeyPatch)
 
 def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job is begun again later; if there is never room, it fails and says so."""
-    monkeypatch.setattr("pugeo_service.jobs.settle._STORAGE_BACK_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._STORAGE_BACK_S", 0.05)
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -85,7 +85,7 @@ def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_disk_that_fails_the_engine(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the engine finds it full, a job is begun again and a request gets a 503."""
-    monkeypatch.setattr("pugeo_service.jobs.settle._STORAGE_BACK_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._STORAGE_BACK_S", 0.05)
 
     async def scenario(house: Any) -> None:
         full = [True, True]
@@ -93,7 +93,7 @@ def test_a_disk_that_fails_the_engine(play: Any, monkeypatch: pytest.MonkeyPatch
         def go_wrong(_: bytes) -> None:
             if full:
                 full.pop()
-                raise DiskFailed(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+                raise DiskError(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
         house.engine._go_wrong = go_wrong
         answer = await house.http.post("/upsample", content=b"x")
@@ -150,13 +150,13 @@ def test_a_folder_that_is_read_only(play: Any, small_disk: Path) -> None:
         await house.until((await house.submit())["id"], "succeeded")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pugeo_service.jobs.service._AGAIN_S", 0.05)
+        patch.setattr("pugeo_service.jobs.manager._AGAIN_S", 0.05)
         play(scenario, jobs_dir=small_disk / "jobs")
 
 
 def test_a_folder_that_is_none(play: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything but jobs works meanwhile, and jobs as soon as the folder can be made."""
-    monkeypatch.setattr("pugeo_service.jobs.service._AGAIN_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.manager._AGAIN_S", 0.05)
     (tmp_path / "taken").write_bytes(b"")
 
     async def scenario(house: Any) -> None:
@@ -250,7 +250,7 @@ def test_services_that_make_the_table_at_once(postgres: Any) -> None:
         database = Database(url)
         together.wait()
         try:
-            return asyncio.run(database.read(store.usage)).queued
+            return asyncio.run(database.read(client_queries.usage)).queued
         finally:
             database.close()
 
@@ -262,7 +262,7 @@ def test_sync_requests_on_a_full_disk(play: Any, monkeypatch: pytest.MonkeyPatch
     """A body of /upsample that cannot be spooled is told the same way."""
 
     async def scenario(house: Any) -> None:
-        monkeypatch.setattr("pugeo_service.spool.Spool._store", fail(errno.ENOSPC))
+        monkeypatch.setattr("pugeo_service.storage.spool.Spool._store", fail(errno.ENOSPC))
         answer = await house.http.post("/upsample", content=b"x" * (2 << 20))
         assert (answer.status_code, answer.json()["code"]) == (503, "storage_full")
 

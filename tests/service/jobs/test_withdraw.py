@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.jobs.record import Job
-from pugeo_service.jobs.settle import Settlement
+from pugeo_service.jobs.completion import Settlement
+from pugeo_service.jobs.models import Job
 
 
 def test_cancelling_what_waits(play: Any) -> None:
@@ -52,7 +52,7 @@ def test_cancelling_what_runs(play: Any) -> None:
 
 def test_cancelling_what_was_begun_anew(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A job that is begun again before its first attempt has quite ended can still be stopped."""
-    monkeypatch.setattr("pugeo_service.jobs.settle._ENGINE_BACK_S", 0.0)
+    monkeypatch.setattr("pugeo_service.jobs.completion._ENGINE_BACK_S", 0.0)
     monkeypatch.setattr("pugeo_service.jobs.runner._TICK_S", 60.0)  # nothing else notices
 
     async def scenario(house: Any) -> None:

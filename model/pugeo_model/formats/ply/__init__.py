@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import IO
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.limits import Limits
 from pugeo_model.formats.numbers import NumberLines
 from pugeo_model.formats.ply import binary, text
@@ -53,13 +53,13 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         limits: bounds of the header and of the number of points.
 
     Raises:
-        MalformedFile: not PLY, truncated, no points, a value that makes no sense.
-        LimitExceeded: header or number of points above ``limits``.
+        MalformedFileError: not PLY, truncated, no points, a value that makes no sense.
+        LimitExceededError: header or number of points above ``limits``.
     """
     parsed = read_header(file, limits)
     vertex = next((each for each in parsed.elements if each.name == "vertex"), None)
     if vertex is None:
-        raise MalformedFile("The PLY file has no element 'vertex'.", code="missing_property")
+        raise MalformedFileError("The PLY file has no element 'vertex'.", code="missing_property")
     _check_size(file, parsed)
     columns = VertexColumns(vertex)
     index = parsed.elements.index(vertex)

@@ -8,7 +8,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.ply.header import Element
 from pugeo_model.formats.ply.walk import find_segments, segment_plan
 from pugeo_model.formats.stream import CHUNK_BYTES, bytes_left
@@ -28,7 +28,7 @@ def read_rows(file: IO[bytes], element: Element, order: str, sinks: Sinks) -> No
         sinks: property name -> ``(element.count,)`` array. Empty: the rows are passed over.
 
     Raises:
-        MalformedFile: the file ends before the last row, or a list has a negative length.
+        MalformedFileError: the file ends before the last row, or a list has a negative length.
     """
     if not element.has_lists:
         stride = element.least_row_bytes
@@ -68,9 +68,9 @@ def _check_size(file: IO[bytes], element: Element, stride: int) -> None:
         raise truncated(element, expected, found, found // stride)
 
 
-def truncated(element: Element, expected: int, found: int, rows: int) -> MalformedFile:
+def truncated(element: Element, expected: int, found: int, rows: int) -> MalformedFileError:
     """Say how much of an element is missing (bytes, and complete rows found)."""
-    return MalformedFile(
+    return MalformedFileError(
         f"The file ends too early: {element.count:,} rows of {element.name!r} take at least "
         f"{expected:,} bytes, found {found:,} bytes ({rows:,} complete rows).",
         code="truncated",
@@ -136,8 +136,8 @@ def _first_lengths(file: IO[bytes], element: Element, order: str) -> dict[str, i
     return lengths
 
 
-def _bad_list(element: Element, row: int) -> MalformedFile:
-    return MalformedFile(
+def _bad_list(element: Element, row: int) -> MalformedFileError:
+    return MalformedFileError(
         f"Row {row:,} of {element.name!r} (from 0): a list has a negative length, or is longer "
         "than the rest of the file.",
         code="bad_list",

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.ply.header import Element
 
@@ -37,14 +37,14 @@ class VertexColumns:
         notes: what was dropped or guessed.
 
     Raises:
-        MalformedFile: no ``x``, ``y``, ``z``.
+        MalformedFileError: no ``x``, ``y``, ``z``.
     """
 
     def __init__(self, element: Element) -> None:
         types = {each.name: each.type for each in element.properties if each.count_type is None}
         missing = [name for name in _POINTS if name not in types]
         if missing:
-            raise MalformedFile(
+            raise MalformedFileError(
                 f"The PLY vertices have no property {', '.join(missing)}.",
                 code="missing_property",
                 missing=missing,

@@ -7,7 +7,7 @@ from typing import IO, TypeVar
 
 import numpy as np
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.limits import Limits
 
 __all__ = ["Element", "Header", "Property", "read_header"]
@@ -101,14 +101,14 @@ def read_header(file: IO[bytes], limits: Limits) -> Header:
         limits: ``max_header_bytes``, ``max_header_lines`` and ``max_points`` are checked.
 
     Raises:
-        MalformedFile: not a PLY header, a line that makes no sense, a name met twice.
-        LimitExceeded: too long a header, or too many points.
+        MalformedFileError: not a PLY header, a line that makes no sense, a name met twice.
+        LimitExceededError: too long a header, or too many points.
     """
     start = file.tell()
     head = file.read(limits.max_header_bytes)
     magic = _MAGIC.match(head)
     if magic is None:
-        raise MalformedFile("The file does not begin with a line 'ply'.", code="no_header")
+        raise MalformedFileError("The file does not begin with a line 'ply'.", code="no_header")
     newline = magic[1]
     ending = rb"\rend_header[ \t]*\r" if newline == b"\r" else rb"\nend_header[ \t]*\r?\n"
     end = re.search(ending, head)
@@ -116,7 +116,7 @@ def read_header(file: IO[bytes], limits: Limits) -> Header:
         # One byte more tells a header that is too long from one that just stops.
         more = file.read(1)
         limits.check("max_header_bytes", len(head) + len(more), "Bytes of the PLY header")
-        raise MalformedFile("The PLY header has no line 'end_header'.", code="no_header")
+        raise MalformedFileError("The PLY header has no line 'end_header'.", code="no_header")
     file.seek(start + end.end())
     # Split at line ends only: str.splitlines would also split at characters inside a comment.
     lines = head[magic.end() : end.start()].split(b"\r" if newline == b"\r" else b"\n")
@@ -152,7 +152,7 @@ def _parse(lines: list[list[str]]) -> tuple[str, tuple[Element, ...]]:
             case _:
                 raise _bad_line(number, f"cannot understand {' '.join(words)[:80]!r}")
     if order is None:
-        raise MalformedFile("The PLY header has no line 'format'.", code="bad_header")
+        raise MalformedFileError("The PLY header has no line 'format'.", code="bad_header")
     return order, tuple(
         Element(name, count, tuple(each.values())) for name, (count, each) in elements.items()
     )
@@ -176,5 +176,5 @@ def _property(words: list[str]) -> Property | None:
     return None
 
 
-def _bad_line(number: int, what: str) -> MalformedFile:
-    return MalformedFile(f"PLY header, line {number}: {what}.", code="bad_header", line=number)
+def _bad_line(number: int, what: str) -> MalformedFileError:
+    return MalformedFileError(f"PLY header, line {number}: {what}.", code="bad_header", line=number)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.errors import MalformedFile
+from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.numbers import NumberLines, Rows
 from pugeo_model.formats.ply.header import Element
 
@@ -26,7 +26,7 @@ def read_rows(lines: NumberLines, element: Element, sinks: Mapping[str, NDArray[
         sinks: property name -> ``(element.count,)`` array. Empty: the lines are passed over.
 
     Raises:
-        MalformedFile: too few lines, a line with too many or too few values, something that is
+        MalformedFileError: too few lines, a line with too many or too few values, something that is
             no number, a number that its declared type cannot hold.
     """
     if not element.properties:
@@ -40,7 +40,7 @@ def read_rows(lines: NumberLines, element: Element, sinks: Mapping[str, NDArray[
             sinks[name][done : done + len(rows)] = values
         done += len(rows)
     if done < element.count:
-        raise MalformedFile(
+        raise MalformedFileError(
             f"The file ends too early: expected {element.count:,} rows of {element.name!r}, "
             f"found {done:,}.",
             code="truncated",
@@ -82,4 +82,4 @@ def _check_type(values: NDArray[np.float64], kind: str, rows: Rows, name: str) -
 def _check_rows(bad: NDArray[np.bool_], rows: Rows, what: str) -> None:
     if bad.any():
         line = int(rows.lines[np.argmax(bad)])
-        raise MalformedFile(f"Line {line} {what}.", code="bad_row", line=line)
+        raise MalformedFileError(f"Line {line} {what}.", code="bad_row", line=line)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Backbones: each file maps neighbourhoods to features; registered here by name."""
+"""Backbones by name. A backbone maps neighbourhoods to features."""
 
 from collections.abc import Callable
 

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pugeo_model.network.pooling import pools, rectify
+from pugeo_model.network.kernels.pooling import pools, rectify
 
 __all__ = ["EdgeConv", "PointMLP", "knn_graph"]
 

@@ -10,8 +10,9 @@ from tempfile import NamedTemporaryFile
 import numpy as np
 from numpy.typing import NDArray
 
-from pugeo_model.metrics.surface_distance import MeshDistance
-from pugeo_model.training.corpus import SIZES, Shape, poisson_disk
+from pugeo_model.mesh.distance import MeshDistance
+from pugeo_model.mesh.sampling import poisson_disk
+from pugeo_model.training.corpus import SIZES, Shape
 
 __all__ = ["SPARSE", "Pair", "load_pair", "load_pairs"]
 

@@ -9,7 +9,7 @@ import torch
 
 pytest.importorskip("igl", reason="training needs the train extra")
 
-from pugeo_model.errors import BadOption
+from pugeo_model.errors import BadOptionError
 from pugeo_model.geometry.overlapping import PATCH_POINTS
 from pugeo_model.network.patch_networks.output import PatchOutput
 from pugeo_model.network.pugeo import Architecture
@@ -254,15 +254,15 @@ def test_a_recipe_built_on_another(tmp_path):
     assert settings.weights.repulsion == 1.0
     path = tmp_path / "circle.toml"
     path.write_text(f'base = "{path}"\n')
-    with pytest.raises(BadOption, match="after one another"):
+    with pytest.raises(BadOptionError, match="after one another"):
         read_recipe(str(path))
     path.write_text('base = "paper"\n[patches.augmentation]\njiter = 1\n')
-    with pytest.raises(BadOption, match="'jiter' is unknown"):
+    with pytest.raises(BadOptionError, match="'jiter' is unknown"):
         read_recipe(str(path))
 
 
 def test_another_ratio():
     """A recipe of a patch network serves every R; that of charts has none."""
     assert dict(with_ratio(read_recipe("paper"), 16).architecture.options)["ratio"] == 16
-    with pytest.raises(BadOption, match="patch networks"):
+    with pytest.raises(BadOptionError, match="patch networks"):
         with_ratio(read_recipe("standard"), 8)

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cache of compiled kernels: a writable folder, and one compilation for all workers.
+
+numba stores compiled kernels beside each module or, if that folder is read-only, in the user's
+cache folder. `use_writable_folder` adds a third place. numba compiles a kernel again if its own
+module changed, but not if the constants of `tuning` did, so `use_writable_folder` deletes kernels
+that were compiled with other constants. This module imports neither numba nor torch.
+"""
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+__all__ = ["compile_kernels", "compiled", "use_writable_folder"]
+
+_PACKAGE = Path(__file__).parent
+_FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
+_COMPILE = "from pugeo_model.kernel_cache import _compile_here; _compile_here()"
+
+
+def use_writable_folder() -> None:
+    """Let numba store kernels in a writable folder, and delete outdated kernels.
+
+    Must be called before numba is imported. A writable folder in ``NUMBA_CACHE_DIR`` is used.
+    """
+    chosen = os.environ.get(_FOLDER_VARIABLE)
+    if chosen and _is_writable(Path(chosen)):
+        return
+    if not chosen and _is_writable(_PACKAGE):
+        _drop_outdated()
+    elif chosen or not _is_writable(_user_folder()):
+        os.environ[_FOLDER_VARIABLE] = str(_temporary_folder())
+
+
+def compiled() -> bool:
+    """Return whether all kernels of this version were compiled for this machine."""
+    return _marker().exists()
+
+
+def compile_kernels(announce: Callable[[str], object]) -> None:
+    """Compile all kernels in a separate process, unless they are compiled.
+
+    Args:
+        announce: called with a message before and after the compilation.
+
+    Raises:
+        RuntimeError: the process failed; the message ends with its last output.
+    """
+    if compiled():
+        return
+    announce("compiling kernels for this machine; this happens once and takes a minute or two ...")
+    start = time.perf_counter()
+    ended = subprocess.run(  # noqa: S603 - our own interpreter and code
+        [sys.executable, "-c", _COMPILE], check=False, capture_output=True, text=True
+    )
+    if ended.returncode:
+        raise RuntimeError(f"kernels could not be compiled: {ended.stderr.strip()[-500:]}")
+    announce(f"compiled kernels in {time.perf_counter() - start:.0f} s")
+
+
+def _compile_here() -> None:
+    """Upsample small clouds so that every kernel is compiled and stored."""
+    import numpy as np
+
+    from pugeo_model.cloud import Cloud
+    from pugeo_model.upsampler import Upsampler
+
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(3000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    upsampler = Upsampler()
+    upsampler(Cloud(points), ratio=2.0)
+    upsampler(Cloud(points[:600] + rng.normal(size=(600, 3), scale=0.02)), ratio=8.0)
+    _marker().parent.mkdir(parents=True, exist_ok=True)
+    _marker().touch()
+
+
+def _marker() -> Path:
+    """File that exists once the kernels of these sources were compiled for this machine."""
+    digest = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        status = path.stat()
+        digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}\n".encode())
+    digest.update(f"{sys.version} {version('numba')} {_processor()}".encode())
+    return _folder() / f"compiled-{digest.hexdigest()[:16]}"
+
+
+def _folder() -> Path:
+    """Folder of the marker: that of the kernels or next to it."""
+    if folder := os.environ.get(_FOLDER_VARIABLE):
+        return Path(folder)
+    return _PACKAGE / "__pycache__" if _is_writable(_PACKAGE) else _user_folder() / "pugeo"
+
+
+def _user_folder() -> Path:
+    """Cache folder of the user, which may not exist."""
+    try:
+        home = Path.home()
+    except RuntimeError:  # no HOME, and no entry for this user
+        home = Path("/nonexistent")
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+
+
+def _temporary_folder() -> Path:
+    """A temporary folder that only this user can write, since its content is executed."""
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
+    folder = Path(tempfile.gettempdir()) / f"pugeo-kernels-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        owned = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+    except OSError:
+        owned = False
+    if owned and not folder.is_symlink():
+        return folder
+    return Path(tempfile.mkdtemp(prefix="pugeo-kernels-"))
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether files can be created in a folder, or the folder itself can be created."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return os.access(folder, os.W_OK)
+
+
+def _processor() -> str:
+    """Name and instruction sets of the processor, which kernels depend on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
+    return "\n".join(names[:2]) or platform.processor()
+
+
+def _drop_outdated() -> None:
+    """Delete kernels in the package that were compiled with other constants."""
+    digest = hashlib.sha256((_PACKAGE / "tuning.py").read_bytes()).hexdigest()
+    stamp = _PACKAGE / "__pycache__" / "tuning.sha256"
+    if stamp.exists() and stamp.read_text("utf-8") == digest:
+        return
+    for path in _PACKAGE.rglob("__pycache__/*.nb[ic]"):
+        path.unlink(missing_ok=True)
+    stamp.parent.mkdir(exist_ok=True)
+    stamp.write_text(digest, "utf-8")

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Preparation of a tile for the network: neighbours, canonical frames, areas and patches."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.areas import surface_areas
+from pugeo_model.geometry.frames import Frames, fit_frames
+from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.geometry.overlapping import overlapping_patches
+from pugeo_model.geometry.partition import PATCH_SIZE, partition
+from pugeo_model.geometry.patches import extract_patch
+from pugeo_model.tiles import Tile
+
+__all__ = ["PreparedTile", "prepare"]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTile:
+    """A tile with the inputs of the network and of the resampling.
+
+    Rows are in the order of the patches.
+
+    Attributes:
+        tile: the tile.
+        cloud: its input points with their attributes.
+        order: ``(M,)`` int32, row of the tile of each point.
+        core: ``(M,)`` bool, points of the tile's core.
+        points: ``(M, 3)`` float64, unit scale.
+        neighbours: ``(M, 32)`` int32, nearest first.
+        frames: one canonical frame a point.
+        area: ``(M,)`` float64, surface area of each point, unit scale squared.
+        patches: inputs of the network; their cores partition the points that get charts.
+        noise: of the original input, in spacings, see `noise_level`.
+    """
+
+    tile: Tile
+    cloud: Cloud
+    order: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    points: NDArray[np.float64]
+    neighbours: NDArray[np.int32]
+    frames: Frames
+    area: NDArray[np.float64]
+    patches: list[Any]
+    noise: float
+
+    @property
+    def charted_points(self) -> NDArray[np.float64]:
+        """The leading points, ``(charted, 3)``: those with charts."""
+        return self.points[: self.tile.charted]
+
+    @property
+    def adds_nothing(self) -> bool:
+        """True if the output has no new point, only the input points with normals."""
+        return self.tile.keeps_input and self.tile.n_out == self.tile.core
+
+
+def prepare(tile: Tile) -> PreparedTile:
+    """Find neighbours, fit canonical frames and extract the patches of a tile."""
+    # With rows in the order of the patches, the core of a patch is a slice of every array.
+    cores = partition(tile.points[: tile.charted], PATCH_SIZE)
+    order = np.concatenate([*cores, np.arange(tile.charted, len(tile.points), dtype=np.int32)])
+    points = tile.points[order]
+    distances, neighbours = nearest(points)
+    frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
+    ends = np.cumsum([0] + [len(core) for core in cores])
+    patches: list[Any]
+    if tile.patch_ratio is None:
+        patches = [
+            extract_patch(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
+            for start, stop in itertools.pairwise(ends)
+        ]
+    else:
+        patches = overlapping_patches(points[: tile.charted])
+    return PreparedTile(
+        tile=tile,
+        cloud=tile.cloud.take(order),
+        order=order,
+        core=order < tile.core,
+        points=points,
+        neighbours=neighbours,
+        frames=frames,
+        area=surface_areas(frames.spacing, neighbours, _typical_spacing(tile, frames)),
+        patches=patches,
+        noise=frames.noise if tile.noisy is None else tile.noisy.noise,
+    )
+
+
+def _typical_spacing(tile: Tile, frames: Frames) -> float | None:
+    """Return the median spacing of the whole cloud, ``None`` if the tile is the whole cloud."""
+    if tile.spacing is None or tile.noisy is None:
+        return tile.spacing
+    # The spacing of the whole cloud was measured before denoising; noise increases distances.
+    return float(tile.spacing * (np.median(frames.spacing) / tile.noisy.median_spacing))

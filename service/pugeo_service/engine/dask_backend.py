@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Worker processes through Dask: started here, or elsewhere behind a scheduler."""
+
+import asyncio
+import contextlib
+import logging
+import secrets
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import dask
+import distributed
+import structlog
+from distributed import scheduler
+from distributed.client import ClosedClientError, FutureCancelledError
+from distributed.scheduler import KilledWorker
+
+from pugeo_service.engine.backend import CORE, Handle, is_quick
+from pugeo_service.engine.errors import EngineLostError, WorkerLostError
+from pugeo_service.engine.retries import TOPIC, ReportRetries
+from pugeo_service.engine.worker import run_stage
+from pugeo_service.settings import Settings
+
+__all__ = ["DaskBackend"]
+
+T = TypeVar("T")
+
+_log = structlog.stdlib.get_logger("pugeo.engine")
+# Its annotations cover half of it and contradict the other half.
+_dask: Any = distributed
+
+_CONFIG = {
+    # A task that ends two workers is regarded as the cause.
+    "distributed.scheduler.allowed-failures": 1,
+    # A body travels as an argument, so that Dask can repeat a lost step by itself.
+    "distributed.admin.large-graph-warning-threshold": "10 GB",
+    "distributed.worker.preload": ["pugeo_service.engine.worker"],
+    "distributed.worker.multiprocessing-method": "spawn",
+    # By default a worker that needs more than 15 s to come back is given up for good.
+    "distributed.deploy.lost-worker-timeout": "365 days",
+    # No side doors: the ports that Dask insists on opening answer nothing.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    # The two threads of a worker share one arena of free memory.
+    "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": "1",
+    # Tasks of one kind are neither held back in the scheduler nor moved away from their inputs
+    # because there are many of them.
+    "distributed.scheduler.rootish-taskgroup-dependencies": 0,
+    # Each connection would keep its last 1,000 messages below a megabyte, bodies and all.
+    "distributed.admin.low-level-log-length": 10,
+    # Nobody reads Dask's profiler.
+    "distributed.worker.profile.enabled": False,
+    # Dask watches its loops 50 times a second, the memory of workers 10 times, itself twice, in
+    # each of its servers: a front without requests took 4.2 % of a core, and takes 1.8 % so.
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.worker.memory.monitor-interval": "500ms",
+}
+# Processes are the unit of parallelism; threads in each would fight over the same cores.
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+_GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
+_POLL_S = 0.5
+_SILENCE_S = 10.0
+_RISE_S = 30.0
+
+
+class _NoSpans:
+    """Replaces Dask's record of all work, which grows with each request and is never pruned."""
+
+    def __init__(self, _scheduler: object) -> None: ...
+
+    def __bool__(self) -> bool:
+        return False
+
+    def heartbeat(self, *_: object) -> None:
+        """Ignore the reports of workers."""
+
+
+class DaskBackend:
+    """The `Backend` of the service."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._cluster: Any = None
+        self._rising: asyncio.Future[Any] | None = None
+        self._client: Any = None
+        self._poll: asyncio.Task[None] | None = None
+        self._workers: frozenset[str] = frozenset()
+        self.lost_workers = 0
+        self.retried_patches = 0
+        # Distinguishes the tasks of this front from those of others at the same scheduler.
+        self._name = secrets.token_hex(6)
+
+    @property
+    def warm_workers(self) -> int:
+        """Workers known to the scheduler; their preload warmed them before it knew them."""
+        return len(self._workers)
+
+    @property
+    def worker_names(self) -> tuple[str, ...]:
+        """Names or addresses of the workers."""
+        return tuple(sorted(self._workers))
+
+    async def start(self) -> None:
+        """Start the cluster or reach it; returns once a worker is warm."""
+        dask.config.set(_CONFIG)
+        for name in ("distributed", "distributed.nanny", "distributed.scheduler"):
+            logging.getLogger(name).setLevel(logging.WARNING)
+        settings = self._settings
+        if settings.scheduler is None:
+            security = _dask.Security.temporary()
+            self._cluster = _dask.LocalCluster(
+                n_workers=settings.worker_count,
+                processes=True,
+                threads_per_worker=1,
+                memory_limit=settings.worker_memory,
+                asynchronous=True,
+                security=security,
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={
+                    "dashboard": False,
+                    "extensions": {**scheduler.DEFAULT_EXTENSIONS, "spans": _NoSpans},
+                },
+                local_directory=str(settings.spool_dir),
+                env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
+            )
+            # Cancelling the start does not cancel this: a cluster can be closed when it is up, or
+            # before it began, but not in between.
+            self._rising = asyncio.ensure_future(self._cluster)
+            await asyncio.shield(self._rising)
+        await self._connect()
+        await self._connected.wait_for_workers(1)
+        await self._look()
+        self._poll = asyncio.create_task(self._keep_looking())
+
+    async def stop(self) -> None:
+        """Close the connection, and the workers if they are ours."""
+        if self._poll is not None:
+            self._poll.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._poll
+        if self._client is not None:
+            await self._client.close()
+        if self._rising is not None:
+            await asyncio.wait({self._rising}, timeout=_RISE_S)
+        if self._cluster is not None:
+            await self._cluster.close()
+
+    def submit(
+        self,
+        stage: Callable[..., T],
+        *args: Any,
+        priority: float,
+        seconds: float,
+        long: bool,
+        patches: int = 0,
+        worker: str | None = None,
+    ) -> Handle[T]:
+        """Queue ``stage(*args)``."""
+        # Dask guesses how long a task takes from others whose key begins alike.
+        prefix = f"{stage.__name__}_{'long' if long else 'short'}"
+        key = f"{prefix}-{patches}-{self._name}-{secrets.token_hex(12)}"
+        try:
+            handle: Handle[T] = self._connected.submit(
+                run_stage,
+                stage,
+                seconds,
+                *args,
+                key=key,
+                pure=False,
+                priority=priority,
+                workers=worker,
+                # The named worker may be gone.
+                allow_other_workers=worker is not None,
+                resources=None if is_quick(stage) else {CORE: 1},
+            )
+        except ClosedClientError as error:
+            raise EngineLostError(str(error)) from error
+        return handle
+
+    async def wait(self, handle: Any) -> None:
+        """Wait for a result without moving it."""
+        error = await handle.exception()
+        if error is not None:
+            raise _translated(error)
+        if handle.cancelled():
+            raise EngineLostError(f"the scheduler forgot {handle.key}")
+
+    async def fetch(self, handle: Any) -> Any:
+        """Wait for a result and bring it here."""
+        await self.wait(handle)
+        try:
+            return await self._connected.gather(handle)
+        except (KilledWorker, FutureCancelledError) as error:
+            raise _translated(error) from error
+
+    def release(self, handles: Iterable[Any]) -> None:
+        """Drop results; tasks already submitted still get them."""
+        for handle in handles:
+            handle.release()
+
+    def cancel(self, handles: Iterable[Any]) -> None:
+        """Drop results; Dask drops tasks that have not begun once nothing refers to them."""
+        self.release(handles)
+
+    async def _connect(self) -> None:
+        settings = self._settings
+        if self._cluster is not None:
+            address, security = self._cluster, self._cluster.security
+        else:
+            address = settings.scheduler
+            security = _dask.Security(
+                tls_ca_file=str(settings.tls_ca),
+                tls_client_cert=str(settings.tls_cert),
+                tls_client_key=str(settings.tls_key),
+                require_encryption=True,
+            )
+        # Results go from worker to front without a copy in the scheduler.
+        self._client = await _dask.Client(
+            address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
+        )
+        try:
+            await self._client.register_plugin(ReportRetries())
+        except Exception as error:  # noqa: BLE001 - a count is not worth a connection
+            _log.warning("retries are not counted", reason=str(error))
+        else:
+            self._client.subscribe_topic(TOPIC, self._count_retry)
+
+    def _count_retry(self, event: tuple[float, str]) -> None:
+        _, patches, pool, _ = event[1].split("-")
+        if pool == self._name:
+            self.retried_patches += int(patches)
+
+    @property
+    def _connected(self) -> Any:
+        if self._client is None:
+            raise EngineLostError("the engine has not started")
+        return self._client
+
+    async def _keep_looking(self) -> None:
+        while True:
+            await asyncio.sleep(_POLL_S)
+            try:
+                async with asyncio.timeout(_SILENCE_S):
+                    await self._look()
+            except (OSError, EngineLostError):
+                self._workers = frozenset()
+                if self._cluster is None:
+                    await self._connect_again()
+
+    async def _connect_again(self) -> None:
+        """Connect again to a scheduler that went away; Dask's own client gives up too early."""
+        client, self._client = self._client, None
+        with contextlib.suppress(OSError):
+            if client is not None:
+                await client.close(timeout=1)
+            await self._connect()
+
+    async def _look(self) -> None:
+        scheduler = self._connected.scheduler
+        if scheduler is None:
+            raise EngineLostError("the connection to the scheduler is closed")
+        identity = await scheduler.identity(n_workers=-1)
+        workers = frozenset(
+            worker["id"] if isinstance(worker["id"], str) else address
+            for address, worker in identity["workers"].items()
+            # Without a core it would never be given work: see `worker.one_at_a_time`.
+            if worker["status"] == "running" and CORE in worker["resources"]
+        )
+        self.lost_workers += len(self._workers - workers)
+        self._workers = workers
+        if self._cluster is not None:
+            self._replace_nannies()
+
+    def _replace_nannies(self) -> None:
+        """Start a nanny process again where it gave up, for example because memory was short."""
+        nannies = self._cluster.workers
+        gone = [name for name, nanny in nannies.items() if nanny.status in _GONE]
+        for name in gone:
+            del nannies[name]
+        if gone:
+            self._cluster.scale(self._settings.worker_count)
+
+
+def _translated(error: BaseException) -> BaseException:
+    if isinstance(error, KilledWorker):
+        return WorkerLostError(str(error))
+    if isinstance(error, FutureCancelledError):
+        return EngineLostError(str(error))
+    return error

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of the package, imported on first use."""
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+import pugeo_model as pm
+
+
+@pytest.mark.parametrize("name", pm.__all__)
+def test_each_name_is_there(name: str) -> None:
+    """Each public name is an attribute, and the same object as in its module."""
+    value = getattr(pm, name)
+    if name in pm._MODULES:
+        module = importlib.import_module(f"pugeo_model.{pm._MODULES[name]}")
+        assert value is getattr(module, name)
+
+
+def test_names_are_complete() -> None:
+    """``dir`` lists the public names, and each has a module."""
+    assert dir(pm) == sorted(pm.__all__)
+    assert set(pm._MODULES) == set(pm.__all__) - {"__version__"}
+
+
+def test_an_unknown_name_is_an_error() -> None:
+    """A misspelled name is an AttributeError that names the package."""
+    with pytest.raises(AttributeError, match="'pugeo_model' has no attribute 'Upsample'"):
+        pm.Upsample  # noqa: B018
+
+
+def test_names_are_imported_on_first_use() -> None:
+    """Reading and writing loads no torch; the package itself loads neither numpy nor numba."""
+    code = (
+        "import sys, pugeo_model as pm; heavy = {'numpy', 'numba', 'scipy', 'torch'}; "
+        "print(sorted(heavy & set(sys.modules))); pm.read, pm.write, pm.Cloud; "
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["[]", "False"]

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled kernels find a folder, wherever the package is installed."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pugeo_model import kernel_cache
+
+
+@pytest.fixture
+def read_only(tmp_path: Path, root: Path) -> Path:
+    """A copy of the package in a folder that cannot be written."""
+    shutil.copytree(
+        root / "model" / "pugeo_model",
+        tmp_path / "site" / "pugeo_model",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
+    return tmp_path / "site"
+
+
+@pytest.mark.slow
+def test_a_read_only_installation_without_a_home(
+    read_only: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither the package nor a home can be written: kernels go into the temporary folder."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    code = (
+        "import os, sys; access = os.access; "
+        f"os.access = lambda path, mode: str(path).startswith({str(tmp_path / 'tmp')!r}) "
+        "and access(path, mode); "
+        f"sys.path.insert(0, {str(read_only)!r}); "
+        "import pugeo_model; print(os.environ['NUMBA_CACHE_DIR'], pugeo_model.__file__)"
+    )
+    (tmp_path / "tmp").mkdir()
+    environment = {
+        "PATH": os.environ["PATH"],
+        "HOME": "/nonexistent",
+        "TMPDIR": str(tmp_path / "tmp"),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True
+    )
+    folder, module = done.stdout.split()
+    assert folder.startswith(str(tmp_path / "tmp"))
+    assert module.startswith(str(read_only))
+    assert Path(folder).stat().st_mode & 0o077 == 0
+
+
+def test_a_chosen_folder_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NUMBA_CACHE_DIR stays as it is where it can be written."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernel_cache.use_writable_folder()
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
+
+
+def test_other_constants_drop_stored_kernels(
+    read_only: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Constants of the method are compiled into kernels, so a change of them drops these."""
+    package = read_only / "pugeo_model"
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(kernel_cache, "_PACKAGE", package)
+    stored = package / "resample" / "__pycache__" / "repulsion._push-1.nbi"
+    for edited in (False, True):
+        kernel_cache.use_writable_folder()
+        stored.parent.mkdir(exist_ok=True)
+        stored.touch()
+        if edited:
+            tuning = package / "tuning.py"
+            tuning.write_text(tuning.read_text("utf-8") + "\n", "utf-8")
+        kernel_cache.use_writable_folder()
+        assert stored.exists() is not edited
+
+
+def test_kernels_are_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second call finds the marker of the first one and compiles nothing."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    code = "from pugeo_model import kernel_cache; kernel_cache._marker().touch()"
+    monkeypatch.setattr(kernel_cache, "_COMPILE", code)
+    said: list[str] = []
+    kernel_cache.compile_kernels(said.append)
+    kernel_cache.compile_kernels(said.append)
+    assert [sentence.split()[0] for sentence in said] == ["compiling", "compiled"]
+
+
+def test_a_compilation_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end of its output is in the error."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernel_cache, "_COMPILE", "raise SystemExit('no compiler')")
+    with pytest.raises(RuntimeError, match="no compiler"):
+        kernel_cache.compile_kernels(lambda _: None)

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the engine relies on in Dask, with real processes and without the model."""
+
+import asyncio
+import gc
+import importlib
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed.batched import BatchedSend
+from distributed.spans import Span
+from tests.service.engine import light_stages as light
+
+from pugeo_model.errors import MalformedFileError
+from pugeo_service.engine import dask_backend
+from pugeo_service.engine.dask_backend import DaskBackend
+from pugeo_service.engine.errors import WorkerLostError
+from pugeo_service.settings import Settings
+
+pytestmark = pytest.mark.slow
+
+Scenario = Callable[[DaskBackend], Awaitable[None]]
+Play = Callable[..., None]
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
+    """Run a scenario against a backend of light workers."""
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
+    monkeypatch.setattr(dask_backend, "_CONFIG", config)
+
+    @asynccontextmanager
+    async def opened(workers: int) -> AsyncIterator[DaskBackend]:
+        backend = DaskBackend(Settings(workers=workers, spool_dir=tmp_path))
+        try:
+            await backend.start()
+            yield backend
+        finally:
+            await backend.stop()
+
+    async def run(scenario: Scenario, workers: int) -> None:
+        async with opened(workers) as backend:
+            await scenario(backend)
+
+    return lambda scenario, workers=2: asyncio.run(run(scenario, workers))
+
+
+def submit(
+    backend: DaskBackend,
+    stage: Any,
+    *args: Any,
+    priority: float = 0,
+    seconds: float = 60,
+    patches: int = 0,
+) -> Any:
+    """Submit with defaults."""
+    return backend.submit(
+        stage, *args, priority=priority, seconds=seconds, long=False, patches=patches
+    )
+
+
+async def warm(backend: DaskBackend, count: int) -> None:
+    """Wait until there are so many workers."""
+    await until(lambda: backend.warm_workers == count)
+
+
+async def until(check: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until something is true."""
+    for _ in range(int(seconds / 0.05)):
+        if check():
+            return
+        await asyncio.sleep(0.05)
+    pytest.fail(f"not true after {seconds:g} s")
+
+
+def test_results_feed_tasks(play: Play) -> None:
+    """Handles, and lists of handles, arrive as values; released ones still feed what waits."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        one = submit(backend, light.add, 1, 0)
+        two = submit(backend, light.add, one, [one, one])
+        three = submit(backend, light.add, two, np.float64(0.5))
+        backend.release([one, two])
+        assert await backend.fetch(three) == 3.5
+
+    play(scenario)
+
+
+def test_errors_of_a_stage_arrive(play: Play) -> None:
+    """A CloudError crosses with its code and fields, also through a task that depends on it."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        bad = submit(backend, light.refuse)
+        for handle in (bad, submit(backend, light.add, 1, bad)):
+            with pytest.raises(MalformedFileError, match="cut short") as caught:
+                await backend.wait(handle)
+            assert (caught.value.code, caught.value.fields) == ("truncated", {"expected": 7})
+
+    play(scenario)
+
+
+def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
+    """A task that ends two workers is given up; results and workers of others come back."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        kept = submit(backend, light.add, 20, 22)
+        await backend.wait(kept)
+        poison = submit(backend, light.die, 0.3, priority=10)
+        with pytest.raises(WorkerLostError):
+            await backend.wait(poison)
+        assert await backend.fetch(kept) == 42
+        naps = [submit(backend, light.nap, 0.1, str(tmp_path / "log"), str(n)) for n in range(6)]
+        assert [await backend.fetch(nap) for nap in naps] == list("012345")
+        await warm(backend, 2)
+        assert backend.lost_workers == 2
+
+    play(scenario)
+
+
+def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
+    """A task that a dead worker had begun counts with its patches; one that ran once does not."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        napping = submit(backend, light.nap, 3, str(tmp_path / "log"), "slept", patches=5)
+        await asyncio.sleep(1)
+        assert backend.retried_patches == 0
+        worker = next(iter(backend._cluster.workers.values()))
+        await worker.kill()
+        assert await backend.fetch(napping) == "slept"
+        assert await backend.fetch(submit(backend, light.add, 1, 1, patches=7)) == 2
+        await until(lambda: backend.retried_patches == 5, seconds=5)
+
+    play(scenario, workers=1)
+
+
+def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
+    """After its time and a grace, the process ends itself, and the backend goes on."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        start = time.monotonic()
+        hung = submit(backend, light.nap, 60, str(tmp_path / "log"), "hung", seconds=0)
+        await asyncio.sleep(5)
+        backend.cancel([hung])
+        await until(lambda: backend.lost_workers == 1, seconds=20)
+        assert time.monotonic() - start < 20
+        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
+
+    play(scenario, workers=1)
+
+
+def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
+    """Left alone, Dask keeps a record of every request, and bodies in logs of sent messages."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        for number in range(30):
+            handle = submit(backend, light.add, number, np.zeros(1000))
+            await backend.fetch(handle)
+            backend.release([handle])
+        gc.collect()
+        kept = gc.get_objects()
+        logs = [len(each.recent_message_log) for each in kept if type(each) is BatchedSend]
+        assert 0 < max(logs) <= 10
+        assert not [each for each in kept if type(each) is Span]
+
+    play(scenario)
+
+
+def test_priority_decides(play: Play, tmp_path: Path) -> None:
+    """What is queued later with a higher priority runs earlier."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        large = [
+            submit(backend, light.nap, 0.2, str(log), f"large{n}", priority=-100 + n)
+            for n in range(8)
+        ]
+        await asyncio.sleep(0.5)
+        small = submit(backend, light.nap, 0.0, str(log), "small", priority=-1)
+        for handle in [small, *large]:
+            await backend.wait(handle)
+        assert log.read_text().split().index("small") <= 4
+
+    play(scenario, workers=1)
+
+
+def test_questions_wait_for_no_work(play: Play, tmp_path: Path) -> None:
+    """A quick stage runs beside one that works; those that work run one at a time."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        naps = [submit(backend, light.nap, 5, str(log), name) for name in ("first", "second")]
+        await until(lambda: log.exists() and log.read_text() == "first\n")
+        assert await backend.fetch(submit(backend, light.add_quickly, 1, 1)) == 2
+        assert log.read_text().split() == ["first"]
+        assert not naps[0].done()
+        assert [await backend.fetch(nap) for nap in naps] == ["first", "second"]
+
+    play(scenario, workers=1)
+
+
+def test_a_worker_without_a_core_does_not_count(
+    play: Play, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was started without the preload would be given no work."""
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": []}
+    monkeypatch.setattr(dask_backend, "_CONFIG", config)
+
+    async def scenario(backend: DaskBackend) -> None:
+        assert (backend.warm_workers, backend.worker_names) == (0, ())
+
+    play(scenario, workers=1)
+
+
+def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
+    """What nobody waits for any more leaves the queue."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        handles = [submit(backend, light.nap, 0.3, str(log), str(n)) for n in range(10)]
+        await asyncio.sleep(0.4)
+        backend.cancel(handles)
+        await asyncio.sleep(1.0)
+        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
+        assert len(log.read_text().split()) < 5
+
+    play(scenario, workers=1)
+
+
+def test_a_watcher_that_gave_up_is_replaced(play: Play) -> None:
+    """A worker whose nanny closed, as after a failed restart, comes back all the same."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        first = await backend.fetch(submit(backend, light.pid))
+        await next(iter(backend._cluster.workers.values())).close()
+        await warm(backend, 1)
+        assert await backend.fetch(submit(backend, light.pid)) != first
+
+    play(scenario, workers=1)
+
+
+def test_nothing_else_listens(play: Play) -> None:
+    """Every port of the cluster is on loopback; its web server answers nothing."""
+    psutil: Any = importlib.import_module("psutil")
+
+    async def scenario(backend: DaskBackend) -> None:
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        ports = [
+            connection.laddr
+            for process in processes
+            for connection in process.net_connections("inet")
+            if connection.status == psutil.CONN_LISTEN
+        ]
+        assert ports
+        assert {address.ip for address in ports} == {"127.0.0.1"}
+        assert backend._cluster.scheduler.http_application.find_handler is not None
+        web = backend._cluster.scheduler.http_server.port
+        reader, writer = await asyncio.open_connection("127.0.0.1", web)
+        writer.write(b"GET /info/main/workers.html HTTP/1.0\r\n\r\n")
+        assert b"404" in await reader.readline()
+        writer.close()
+        await writer.wait_closed()
+
+    play(scenario, workers=1)

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies are taken in under limits that hold while the bytes arrive."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from starlette.requests import Request
+from starlette.types import Message
+
+from pugeo_service.admission.admission import Admission
+from pugeo_service.http.body import ClientDisconnectedError, receive_body
+from pugeo_service.problems import ProblemError
+from pugeo_service.settings import Settings
+
+LIMIT = 1000
+
+
+class Wire:
+    """A connection that delivers messages, then hangs."""
+
+    def __init__(self, *pieces: bytes | None) -> None:
+        self.left: list[Message] = [
+            {"type": "http.disconnect"}
+            if piece is None
+            else {"type": "http.request", "body": piece, "more_body": index < len(pieces) - 1}
+            for index, piece in enumerate(pieces)
+        ]
+
+    async def receive(self) -> Message:
+        if not self.left:
+            await asyncio.sleep(60)
+        return self.left.pop(0)
+
+
+def take(
+    wire: Wire, tmp_path: Path, admission: Admission | None = None, **headers: str
+) -> tuple[bytes, str | None]:
+    """Receive a body; return its bytes and format."""
+    raw = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    request = Request({"type": "http", "headers": raw}, wire.receive)
+    settings = Settings(max_body_bytes=LIMIT, body_idle_s=0.05, spool_dir=tmp_path)
+
+    async def run() -> tuple[bytes, str | None]:
+        with (admission or Admission(9, 10_000, 9)).hold() as hold:
+            body = await receive_body(request, settings, hold)
+            with body.spool as spool:
+                return (await spool.read()).tobytes(), body.format
+
+    return asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    ("content_type", "expected"),
+    [
+        ("", None),
+        ("application/octet-stream", None),
+        ("application/x-www-form-urlencoded", None),
+        ("text/plain; charset=utf-8", None),
+        ("application/x-ply", "ply"),
+        ("Application/JSON; charset=utf-8", "json"),
+        ("application/x-npy", "npy"),
+        ("application/x-npz", "npz"),
+        ("text/csv", "xyz"),
+    ],
+)
+def test_types(tmp_path: Path, content_type: str, expected: str | None) -> None:
+    """A specific type decides the format; an unspecific one leaves that to the content."""
+    wire = Wire(b"ab", b"", b"c")
+    assert take(wire, tmp_path, content_type=content_type) == (b"abc", expected)
+
+
+@pytest.mark.parametrize("content_type", ["image/png", "text/html", "application/xml", "x"])
+def test_other_types(tmp_path: Path, content_type: str) -> None:
+    """415 lists what is accepted, before a byte is read."""
+    wire = Wire(b"abc")
+    with pytest.raises(ProblemError) as caught:
+        take(wire, tmp_path, content_type=content_type)
+    assert (caught.value.status, caught.value.code) == (415, "unsupported_media_type")
+    assert "application/json" in caught.value.fields["accepted"]
+    assert len(wire.left) == 1
+
+
+def test_compressed_bodies(tmp_path: Path) -> None:
+    """A body that could unpack to anything is not unpacked."""
+    with pytest.raises(ProblemError) as caught:
+        take(Wire(b"abc"), tmp_path, content_encoding="gzip")
+    assert (caught.value.status, caught.value.code) == (415, "unsupported_encoding")
+    assert caught.value.headers["Accept-Encoding"] == "identity"
+
+
+def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
+    """Nothing is read of a body that says it is too large."""
+    wire = Wire(b"abc")
+    with pytest.raises(ProblemError) as caught:
+        take(wire, tmp_path, content_length=str(LIMIT + 1))
+    assert (caught.value.status, caught.value.code) == (413, "body_too_large")
+    assert caught.value.fields == {"limit": LIMIT, "value": LIMIT + 1}
+    assert len(wire.left) == 1
+
+
+def test_an_unannounced_size_is_refused_as_it_arrives(tmp_path: Path) -> None:
+    """A body that says nothing of its size is cut off at the limit."""
+    wire = Wire(b"x" * 600, b"x" * 600, b"x" * 600)
+    with pytest.raises(ProblemError, match="limit"):
+        take(wire, tmp_path)
+    assert len(wire.left) == 1
+
+
+def test_the_limit_itself_fits(tmp_path: Path) -> None:
+    """Exactly as much as allowed is allowed."""
+    assert take(Wire(b"x" * LIMIT), tmp_path, content_length=str(LIMIT))[0] == b"x" * LIMIT
+
+
+def test_an_empty_body(tmp_path: Path) -> None:
+    """400 says what to send."""
+    with pytest.raises(ProblemError) as caught:
+        take(Wire(b""), tmp_path)
+    assert (caught.value.status, caught.value.code) == (400, "empty_body")
+
+
+def test_an_empty_part(tmp_path: Path) -> None:
+    """So does an empty file of a form."""
+    body = b'--B\r\nContent-Disposition: form-data; name="file"\r\n\r\n\r\n--B--\r\n'
+    with pytest.raises(ProblemError, match="empty"):
+        take(Wire(body), tmp_path, content_type="multipart/form-data; boundary=B")
+
+
+def test_a_part_of_unknown_type(tmp_path: Path) -> None:
+    """Browsers guess; what they guess wrong decides nothing."""
+    head = b'--B\r\nContent-Disposition: form-data; name="file"\r\nContent-Type: image/ply\r\n\r\n'
+    found = take(
+        Wire(head + b"xyz\r\n--B--\r\n"),
+        tmp_path,
+        content_type="multipart/form-data; boundary=B",
+    )
+    assert found == (b"xyz", None)
+
+
+def test_a_client_that_leaves(tmp_path: Path) -> None:
+    """A body that will never be whole is nobody's error."""
+    with pytest.raises(ClientDisconnectedError):
+        take(Wire(b"abc", None), tmp_path)
+
+
+def test_a_client_that_stalls(tmp_path: Path) -> None:
+    """408 frees what a silent connection would hold for ever."""
+    wire = Wire(b"abc", b"")
+    wire.left.pop()
+    with pytest.raises(ProblemError) as caught:
+        take(wire, tmp_path)
+    assert (caught.value.status, caught.value.retryable) == (408, True)
+
+
+def test_what_was_held_is_given_back(tmp_path: Path) -> None:
+    """A refused body leaves nothing in the account of bytes."""
+    admission = Admission(9, 10_000, 9)
+    with pytest.raises(ProblemError, match="limit"):
+        take(Wire(b"x" * 600, b"x" * 600), tmp_path, admission)
+    assert admission.bytes == 0

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The query of /upsample: each option, its range, and nothing else."""
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from pugeo_model.options import Options
+from pugeo_service.http.query import UpsampleQuery
+
+
+def test_defaults_are_the_models() -> None:
+    """No query means what the model means by no options."""
+    assert Options(**UpsampleQuery().for_model()) == Options()
+
+
+def test_everything_reaches_the_model() -> None:
+    """Each option arrives under the model's own name."""
+    query = UpsampleQuery(R=2.5, orient="viewpoint", viewpoint="1,-2,3e1", seed=7)
+    assert Options(**query.for_model()) == Options(
+        ratio=2.5, orient="viewpoint", viewpoint=(1.0, -2.0, 30.0), seed=7
+    )
+    assert Options(**UpsampleQuery(n_points=9).for_model()) == Options(n_points=9)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"R": "0"},
+        {"R": "0.999"},
+        {"R": "33"},
+        {"R": "1e9"},
+        {"R": "nan"},
+        {"R": "inf"},
+        {"R": "abc"},
+        {"R": ""},
+        {"n_points": "0"},
+        {"n_points": "2.5"},
+        {"R": "2", "n_points": "10"},
+        {"seed": "-1"},
+        {"seed": str(2**63)},
+        {"viewpoint": "1,2"},
+        {"viewpoint": "1,2,x"},
+        {"viewpoint": "1,2,inf"},
+        {"r": "4"},
+        {"ratio": "4"},
+    ],
+)
+def test_what_is_out_of_range(query: dict[str, Any]) -> None:
+    """Every value that the model could not use is refused before any work."""
+    with pytest.raises(ValidationError):
+        UpsampleQuery(**query)
+
+
+def test_an_unknown_option_is_answered_with_the_known_ones() -> None:
+    """Whoever misspells an option learns the right names."""
+    with pytest.raises(ValidationError) as caught:
+        UpsampleQuery.model_validate({"ratio": "4"})
+    error = caught.value.errors()[0]
+    assert error["ctx"]["parameter"] == "ratio"
+    assert error["ctx"]["allowed"] == [
+        "R", "n_points", "orient", "viewpoint", "seed", "keep_input", "format",
+    ]  # fmt: skip
