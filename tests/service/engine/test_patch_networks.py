@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from pugeo_service.engine.sample import sample_order
 
 from pugeo_model import Cloud, formats, tiles
 from pugeo_model.network.build import build_network
@@ -19,6 +18,7 @@ from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import save
 from pugeo_service.engine import Engine
 from pugeo_service.engine.messages import InMemory
+from pugeo_service.engine.self_test import self_test_request
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
@@ -48,8 +48,8 @@ def answer(cloud: Cloud, weights: str, at_once: int, folder: Path) -> NDArray[np
     """Points of the engine's answer."""
     body = io.BytesIO()
     formats.write(cloud, body, format="ply")
-    order = replace(
-        sample_order(weights, deadline_s=60.0),
+    request = replace(
+        self_test_request(weights, deadline_s=60.0),
         max_points=10_000,
         max_output_points=20_000,
         one_task_patches=at_once,
@@ -62,7 +62,7 @@ def answer(cloud: Cloud, weights: str, at_once: int, folder: Path) -> NDArray[np
         try:
             data = InMemory(np.frombuffer(body.getvalue(), np.uint8))
             outcome = await engine.run(
-                data, order, on_patches=lambda _: None, on_done=lambda _: None
+                data, request, on_patches=lambda _: None, on_done=lambda _: None
             )
             with outcome.spool as spool:
                 return (await spool.read()).tobytes()
