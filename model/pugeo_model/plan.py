@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pugeo_model.attributes import mark_labels
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.overlapping import patch_count
 from pugeo_model.normalise import Normalisation, normalise
 from pugeo_model.options import LARGEST_RATIO, Options, refuse
 from pugeo_model.orient.given import signs_agree
@@ -39,6 +40,7 @@ class Plan:
         orient: the method that gives normals their signs, never ``auto``.
         n_out: number of output points.
         report: counts and notes so far, JSON-able.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
     """
 
     cloud: Cloud
@@ -52,6 +54,7 @@ class Plan:
     orient: str
     n_out: int
     report: dict[str, Any]
+    patch_ratio: int | None = None
 
     @property
     def keeps_input(self) -> bool:
@@ -97,10 +100,16 @@ class Plan:
             viewpoint=self.options.viewpoint,
             centroid=self.centroid,
             seed=self.options.seed,
+            patch_ratio=self.patch_ratio,
         )
 
 
-def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
+def make_plan(
+    cloud: Cloud,
+    options: Options,
+    tile_size: int | None = None,
+    patch_ratio: int | None = None,
+) -> Plan:
     """Clean and normalise a cloud, and divide it into tiles.
 
     Args:
@@ -108,6 +117,8 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         options: options of the caller.
         tile_size: largest number of input points in the core of a tile; by default it follows
             from the number of output points.
+        patch_ratio: ratio R of a network that upsamples whole patches, which is the largest ratio
+            then; ``None`` if charts are predicted.
 
     Raises:
         UntreatableCloudError: the points left after cleaning span no surface.
@@ -118,12 +129,13 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
     points, normalisation = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
-    most = int(LARGEST_RATIO) * count
+    largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
+    most = largest * count
     if not count <= n_out <= most:
         refuse(
             "n_points",
             n_out,
-            f"from {count} to {most} (1 to 32 times the points left after cleaning)",
+            f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
             limit=[count, most],
         )
     specs, noise, median_spacing = plan_tiles(points, n_out, tile_size)
@@ -136,7 +148,9 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         "points_used": count,
         "points_out": n_out,
         "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
-        "patches": sum(spec.patches for spec in specs),
+        "patches": sum(
+            spec.patches if patch_ratio is None else patch_count(spec.charted) for spec in specs
+        ),
         "tiles": len(specs),
         "ratio": n_out / count,
         "orient": method,
@@ -154,6 +168,7 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         orient=method,
         n_out=n_out,
         report=report,
+        patch_ratio=patch_ratio,
     )
 
 

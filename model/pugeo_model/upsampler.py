@@ -33,7 +33,7 @@ class Upsampler:
     def __init__(self, weights: str | Path = "standard") -> None:
         from pugeo_model.weights import load
 
-        self.model = load(weights)
+        self.model: Any = load(weights)
 
     def __call__(
         self,
@@ -66,7 +66,8 @@ class Upsampler:
         if not isinstance(cloud, Cloud):
             cloud = from_array(np.asarray(cloud))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        return self.upsample(make_plan(cloud, options), progress)
+        plan = make_plan(cloud, options, patch_ratio=self.model.patch_ratio)
+        return self.upsample(plan, progress)
 
     def upsample(
         self, plan: Plan, progress: Callable[[str, int, int], None] | None = None
