@@ -188,8 +188,9 @@ def test_cancelling_a_request(tmp_path: Path) -> None:
         assert engine._policy.requests == set()
         backend: Any = engine._backend
         # Running tasks end, and no further one begins.
-        while backend._cluster.scheduler.tasks:
-            await asyncio.sleep(0.05)
+        async with asyncio.timeout(100):
+            while backend._cluster.scheduler.tasks:  # noqa: ASYNC110 - it belongs to another loop
+                await asyncio.sleep(0.05)
 
     play(Settings(workers=2, spool_dir=tmp_path), scenario)
 

@@ -169,23 +169,43 @@ def test_as_many_large_requests_begin_as_there_are_workers(tmp_path: Path) -> No
     policy = SchedulingPolicy(lambda: 1)
     begun: list[str] = []
 
+    class Gated(Recorder):
+        gate: asyncio.Event | None = None
+
+        async def wait(self, handle: Handle) -> None:
+            if self.gate is not None:
+                await self.gate.wait()
+            await super().wait(handle)
+
     class Body(InMemory):
-        def __init__(self, name: str, size: int) -> None:
+        def __init__(self, name: str, size: int, at_read: asyncio.Event) -> None:
             super().__init__(np.zeros(size, np.uint8))
             self.name = name
+            self._at_read = at_read
 
         async def read(self) -> Any:
             begun.append(self.name)
+            self._at_read.set()
             return await super().read()
-
-    async def one(name: str, size: int, patches: int) -> None:
-        pool = Recorder(patches, seconds=lambda _: 0.02)
-        flow = Orchestrator(cast("Backend", pool), REQUEST, policy, ProgressCallbacks(), tmp_path)
-        (await flow.run(Body(name, size))).spool.close()
-        begun.append(f"{name} ended")
 
     async def all_of_them() -> None:
         large = LARGE_PATCHES * 2048 * 12
+        names = ("large", "text", "next", "small")
+        read = {name: asyncio.Event() for name in names}
+        ended = {name: asyncio.Event() for name in names}
+        # The first one runs until the small one has ended, the second until the third has begun.
+        gates = {"large": ended["small"], "text": read["next"]}
+
+        async def one(name: str, size: int, patches: int) -> None:
+            pool = Gated(patches)
+            pool.gate = gates.get(name)
+            run = Orchestrator(
+                cast("Backend", pool), REQUEST, policy, ProgressCallbacks(), tmp_path
+            ).run(Body(name, size, read[name]))
+            (await run).spool.close()
+            begun.append(f"{name} ended")
+            ended[name].set()
+
         bodies = ("large", large, 9), ("text", large, 3), ("next", large, 9), ("small", 10, 1)
         await asyncio.gather(*(one(*body) for body in bodies))
 
