@@ -73,10 +73,10 @@ def test_nothing_suits(accept: str) -> None:
 def test_an_unknown_format() -> None:
     """422 names the parameter, its value and the allowed ones."""
     with pytest.raises(ProblemError) as caught:
-        choose_format(None, "las")
+        choose_format(None, "docx")
     assert caught.value.status == 422
     assert caught.value.fields == {
         "parameter": "format",
-        "value": "las",
+        "value": "docx",
         "allowed": list(OUTPUT_FORMATS),
     }
