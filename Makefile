@@ -14,7 +14,7 @@ INSTALL := $(PIP) install -qq --constraint constraints.txt
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test coverage test-long test-postgres serve lint format train bench docs digests openapi constraints clean
+.PHONY: help install demo page check-page test coverage test-long test-page test-postgres serve lint format train bench docs digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,6 +38,15 @@ test-long: $(VENV)/.installed-dev ## run the tests that take minutes
 
 test-postgres: $(VENV)/.installed-dev ## run the tests of jobs on a PostgreSQL server of their own
 	@PUGEO_TEST_POSTGRES=1 $(BIN)/python -m pytest -m postgres tests/service/jobs $(ARGS)
+
+page: viewer/node_modules/.installed ## build the web page into the service (needs node)
+	@cd viewer && npx vite build
+
+check-page: viewer/node_modules/.installed ## fail where the built page is not what viewer/ builds
+	@cd viewer && npm run --silent lint && npm run --silent check
+
+test-page: $(VENV)/.installed-dev viewer/node_modules/.installed ## try the page in Chromium (ARGS="-g swipe")
+	@cd viewer && npx playwright test $(ARGS)
 
 serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
 	@$(BIN)/python -m pugeo_service $(ARGS)
@@ -87,6 +96,11 @@ constraints: $(VENV)/.installed-dev ## write what .venv holds now into constrain
 clean: ## remove .venv, caches and everything made
 	rm -rf $(VENV) out build dist .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
 	find $(SOURCES) -name __pycache__ -type d -prune -exec rm -rf {} +
+
+viewer/node_modules/.installed: viewer/package-lock.json
+	@command -v npm >/dev/null || { echo "There is no npm; the page is built with node 20.19 or newer."; exit 1; }
+	@cd viewer && npm ci --no-audit --no-fund
+	@touch $@
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "There is no $(PYTHON); name one with make PYTHON=..."; exit 1; }

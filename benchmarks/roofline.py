@@ -24,7 +24,8 @@ from pugeo_model.network.model import Model
 from pugeo_model.network.neighbourhoods import MessageRound, Neighbourhoods, stack_patches
 from pugeo_model.network.precision import bfloat16_pays
 from pugeo_model.options import Options
-from pugeo_model.pipeline import make_plan, prepare
+from pugeo_model.plan import make_plan
+from pugeo_model.prepare import prepare
 
 __all__ = ["work"]
 
@@ -78,10 +79,10 @@ def work(model: Model, cloud: Cloud, ratio: float) -> Work:
     plan = make_plan(cloud, Options(ratio))
     charts, flops, traffic = 0, 0, _Traffic()
     for tile in plan.tiles:
-        job = prepare(tile)
-        for patch in job.patches:
+        prepared = prepare(tile)
+        for patch in prepared.patches:
             charts += patch.core
-            run = _forward(model, patch, job.candidates)
+            run = _forward(model, patch, prepared.tile.candidates)
             # One after the other: the first takes operations apart that the second shall see whole.
             counter = FlopCounterMode(display=False, custom_mapping=_LAYERS)
             with torch.inference_mode(), counter:

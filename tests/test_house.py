@@ -225,6 +225,9 @@ def test_no_gpl_at_run_time(root: Path) -> None:
     assert [name for name, needs in extras.items() if "plyfile" in needs] == ["dev"]
     for path in sources(root, *PACKAGES.values(), "examples", "benchmarks"):
         assert "plyfile" not in path.read_text("utf-8"), path
+    assert "cgal" not in " ".join(extras.values()).lower()
+    for path in sources(root, *PACKAGES.values(), "examples"):
+        assert "CGAL" not in path.read_text("utf-8"), path
 
 
 def test_constraints_cover_what_is_asked_for(root: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from benchmarks.reliability import corpus_scans
 from pugeo_model import Cloud, formats
 
 __all__ = ["corpus", "pack"]
@@ -27,14 +28,25 @@ _MANY = 60_000
 
 @functools.cache
 def corpus() -> dict[str, list[bytes]]:
-    """Files by the name of their format; the same at every call."""
+    """Files by the name of their format."""
     return {
         "ply": [*_binary_plys(), *_text_plys()],
         "npy": list(_npys()),
         "npz": list(_npzs()),
         "json": list(_jsons()),
         "xyz": list(_texts()),
+        "las": list(corpus_scans.lases(_cloud(), _bare(_MANY // 4))),
+        "laz": list(corpus_scans.lazes(_cloud(), _bare(_MANY // 4))),
+        "pcd": list(corpus_scans.pcds(_cloud(), _bare(_MANY))),
+        "ptx": list(corpus_scans.ptxs(_cloud(), _bare(_MANY // 4))),
+        "obj": list(corpus_scans.objs(_cloud(), _bare(_MANY))),
+        "stl": list(corpus_scans.stls(_cloud(), _bare(_MANY))),
+        "e57": list(corpus_scans.e57s(_cloud())),
     }
+
+
+def _bare(rows: int) -> Cloud:
+    return Cloud(_cloud(rows).points)
 
 
 def pack(members: dict[str, bytes], method: int) -> bytes:
@@ -202,3 +214,9 @@ def _texts() -> Iterator[bytes]:
     yield f"{_ROWS}\n".encode() + joined(" ", " 12 1 2 255\n")
     yield b"// x y z Red Green Blue label\n" + joined(" ", " 10 20 30 4 # remark\n")
     yield b"x,y,z,nx,ny,nz\n" + joined(",", ",0,0,1\n")
+    yield b'"","Easting","Northing","Elevation","Rf","Gf","Bf"\n' + joined(",", ",0.1,0.2,0.3\n")
+    yield joined(",", ",,1\n") + joined(",", ",2,\n")
+    yield ("\ufeffx;y;z;Illuminance (PCV)\r\n" + "1;2;3;0.5\r\n" * _ROWS).encode("utf-16")
+    yield b"#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n" + (
+        b"1 0.5 0.25 0.125 1 2 3 0.5 1 2 3 4\n2 1.5 0.25 0.125 1 2 3 0.5 1 2\n" * _ROWS
+    )

@@ -53,6 +53,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Describe what can be chosen."""
     parser.add_argument("--inputs", type=int, default=1_000_000, help="how many [1000000]")
     parser.add_argument("--seed", type=int, default=1, help="another one gives other inputs [1]")
+    parser.add_argument("--kinds", default="", help="only files made from these: las,laz [all]")
     parser.add_argument("--replay", type=int, help="read this one input again and say what happens")
     parser.add_argument("--save", type=Path, help="with --replay: write its bytes to this file")
 
@@ -60,11 +61,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> int:
     """Read them all; return the exit status."""
     if options.replay is not None:
-        return _replay(options.seed, options.replay, options.save)
+        return _replay(options)
     total, start, begun = _Total(), 0, time.monotonic()
     while start < options.inputs:
         stop = min(start + _SLICE, options.inputs)
-        start = _slice(options.seed, start, stop, total)
+        start = _slice(options, start, stop, total)
         rate = start / (time.monotonic() - begun)
         print(
             f"{start:,} of {options.inputs:,}, {rate:,.0f} a second, "
@@ -75,13 +76,13 @@ def main(options: argparse.Namespace) -> int:
     return _report(total, options, time.monotonic() - begun)
 
 
-def _slice(seed: int, start: int, stop: int, total: _Total) -> int:
+def _slice(options: argparse.Namespace, start: int, stop: int, total: _Total) -> int:
     """Read some inputs in a process of their own; return the number of the next one to read."""
     with tempfile.TemporaryDirectory() as folder:
         note, answer = Path(folder) / "number", Path(folder) / "trial.json"
         note.write_bytes(start.to_bytes(8, "little"))
         command = [sys.executable, "-X", "faulthandler", "-m", "benchmarks.reliability.trial"]
-        command += [str(value) for value in (seed, start, stop, note)]
+        command += [str(value) for value in (options.seed, start, stop, note, options.kinds)]
         with (
             answer.open("wb") as stdout,
             note.open("r+b") as file,
@@ -96,7 +97,7 @@ def _slice(seed: int, start: int, stop: int, total: _Total) -> int:
     total.findings.append({"index": index, "what": what})
     # The part before it is good as far as it went, but its report died with the process.
     if index > start:
-        _slice(seed, start, index, total)
+        _slice(options, start, index, total)
     return index + 1
 
 
@@ -122,8 +123,10 @@ def _watch(process: "subprocess.Popen[bytes]", place: "mmap.mmap") -> str | None
             return f"stuck: {used - cpu:.1f} s of processor time"
 
 
-def _replay(seed: int, index: int, save: Path | None) -> int:
-    one = trial.inputs(seed)(index)
+def _replay(options: argparse.Namespace) -> int:
+    index, save = options.replay, options.save
+    kinds = [kind for kind in options.kinds.split(",") if kind]
+    one = trial.inputs(options.seed, kinds)(index)
     print(f"input {index}: made from {one.kind}, read as {one.format}, {len(one.data):,} bytes")
     if save is not None:
         save.write_bytes(one.data)
@@ -163,7 +166,7 @@ def _report(total: _Total, options: argparse.Namespace, seconds: float) -> int:
             total.slowest_s < trial.SECONDS,
         ),
         Claim(
-            "allocated at once: at most 6 MiB + 48 times the file, for archives + 4 times "
+            "allocated at once: at most 6 MiB + 48 times the file, for packed files + 4 times "
             f"the {limits.max_bytes >> 20} MiB that they may unpack to",
             f"{100 * total.largest_share:.0f} % of that at most",
             total.largest_share <= 1.0,

@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from benchmarks.reliability import e57_pages
 from benchmarks.reliability.corpus import pack
 
 __all__ = ["Mutator"]
@@ -59,6 +60,30 @@ _WORDS = {
         b" "
     ),
 }
+_WORDS |= {
+    "las": b"LASF|LASF_Spec|LASF_Projection|laszip encoded|\xff\xff|\x00".split(b"|"),
+    "pcd": (
+        b"VERSION|FIELDS|SIZE|TYPE|COUNT|WIDTH|HEIGHT|VIEWPOINT|POINTS|DATA|ascii|binary|"
+        b"binary_compressed| x| y| z| rgb| rgba| normal_x| _| F| U| I| 8| 4| 3|nan|\n|#"
+    ).split(b"|"),
+    "ptx": b"0 0 0 0.5|1 0 0 0|1 0 0|nan|inf|\n|\r\n| |-1|1e400|4\n2\n".split(b"|"),
+    "obj": b"v |vn |vt |f |o |# |/|1/1/1|nan|\n|\r|mtllib a.mtl|0.5 0.5 0.5".split(b"|"),
+    "stl": b"solid|endsolid|facet|normal|outer loop|endloop|endfacet|vertex|nan|\n|1e40".split(
+        b"|"
+    ),
+    "e57": (
+        b"data3D|points|prototype|cartesianX|sphericalRange|intensity|colorRed|nor:normalX|pose|"
+        b"rotation|translation|Integer|ScaledInteger|Float|Structure|Vector|CompressedVector|Blob|"
+        b"String|recordCount|fileOffset|minimum|maximum|scale|precision|single|double|type|</|/>|"
+        b'<|>|"|&lt;|childCount|<?xml|]]>|codecs|cartesianInvalidState'
+    ).split(b"|"),
+}
+_WORDS["laz"] = _WORDS["las"]
+# Numbers of a LAS header: offset and width; then those of a record, from its own beginning.
+_LAS_FIELDS = [
+    *[(24, 1), (25, 1), (94, 2), (96, 4), (100, 4), (104, 1), (105, 2), (107, 4), (111, 4)],
+    *[(131, 8), (155, 8), (179, 8), (227, 8), (235, 8), (243, 4), (247, 8), (6, 2)],
+]
 _WORDS["npz"] = [*_WORDS["npy"], b"points.npy", b"normals.npy", b"colors.npy", b"/", b"../x.npy"]
 # Where a zip archive's records keep their numbers: offset from the signature, and width.
 _ZIP_FIELDS = {
@@ -79,10 +104,11 @@ class Mutator:
 
     Args:
         files: valid files by the name of their format.
+        kinds: formats to make broken files of; all where empty.
     """
 
-    def __init__(self, files: dict[str, list[bytes]]) -> None:
-        self._kinds = list(files)
+    def __init__(self, files: dict[str, list[bytes]], kinds: Sequence[str] = ()) -> None:
+        self._kinds = list(kinds or files)
         # A file of a megabyte costs as much time as a thousand small ones.
         self._small = {kind: [f for f in each if len(f) < 10_000] for kind, each in files.items()}
         self._large = {kind: [f for f in each if len(f) >= 10_000] for kind, each in files.items()}
@@ -294,6 +320,58 @@ def _bomb(rng: _Random, _data: bytes) -> bytes:
     return pack({"points.npy": member + bytes(12 * rows)}, zipfile.ZIP_DEFLATED)
 
 
+def _las_field(rng: _Random, data: bytes) -> bytes:
+    """Lie in one of the numbers of a LAS header, or in the first bytes behind it."""
+    offset, width = rng.choice([*_LAS_FIELDS, (rng.randrange(227, 700), rng.choice((2, 4, 8)))])
+    if offset + width > len(data):
+        return _flip(rng, data)
+    old = int.from_bytes(data[offset : offset + width], "little")
+    chosen = (*_INTEGERS, *_WIDER, len(data), old + 1, old - 1, 2 * old, old ^ 128)
+    value = rng.choice(chosen) & ((1 << 8 * width) - 1)
+    return data[:offset] + value.to_bytes(width, "little") + data[offset + width :]
+
+
+def _laz_table(rng: _Random, data: bytes) -> bytes:
+    """Lie about where the table of chunks is, or how many there are."""
+    start = int.from_bytes(data[96:100], "little")
+    if start + 8 > len(data):
+        return _las_field(rng, data)
+    place = int.from_bytes(data[start : start + 8], "little", signed=True)
+    at, width = rng.choice(((start, 8), (place, 4), (place + 4, 4), (len(data) - 8, 8)))
+    if not 0 <= at <= len(data) - width:
+        return _flip(rng, data)
+    value = rng.choice((*_INTEGERS, *_WIDER, place, len(data))) & ((1 << 8 * width) - 1)
+    return data[:at] + value.to_bytes(width, "little") + data[at + width :]
+
+
+def _e57_content(rng: _Random, data: bytes) -> bytes:
+    """Break an E57 file whose checksums stay right: its XML, its header, its packets."""
+    content = e57_pages.unpack(data)
+    begin = content.find(b"<?xml")
+    if begin < 0 or rng.random() < 0.3:
+        changes: Sequence[Change] = (_flip, _integer, _truncate, _block)
+        return e57_pages.pack(rng.choice(changes)(rng, content))
+    # The XML keeps its place and length as far as spaces can stand in.
+    xml, tail = content[begin:].rstrip(b"\0"), b""
+    knowing: Sequence[Change] = (_xml_number, _xml_number, _word("e57"), _line, _flip, _block)
+    new = rng.choice(knowing)(rng, xml)
+    if rng.random() < 0.9:
+        new = new[: len(xml)].ljust(len(xml))
+    return e57_pages.pack(content[:begin] + new + tail)
+
+
+def _xml_number(rng: _Random, data: bytes) -> bytes:
+    """Replace a number anywhere in a text."""
+    found = list(_NUMBER.finditer(data))
+    if not found:
+        return _flip(rng, data)
+    one = rng.choice(found)
+    new = rng.choice(_NUMBERS)
+    if len(new) > 40:
+        new = new[:40]
+    return data[: one.start()] + new + data[one.end() :]
+
+
 _BLIND: tuple[Change, ...] = (_truncate, _flip, _flip, _integer, _float, _block)
 _KNOWING: dict[str, tuple[Change, ...]] = {
     "ply": (_number, _number, _line, _line, _word("ply"), _word("ply")),
@@ -301,4 +379,11 @@ _KNOWING: dict[str, tuple[Change, ...]] = {
     "npz": (_zip_field, _zip_field, _zip_member, _zip_member, _word("npz")) * 4 + (_bomb,),
     "json": (_number, _value, _value, _value, _nest, _word("json"), _line),
     "xyz": (_number, _number, _line, _word("xyz")),
+    "las": (_las_field, _las_field, _las_field, _word("las")),
+    "laz": (_las_field, _las_field, _laz_table, _laz_table, _word("laz")),
+    "pcd": (_number, _number, _line, _line, _word("pcd"), _word("pcd")),
+    "ptx": (_number, _number, _line, _word("ptx")),
+    "obj": (_number, _line, _word("obj")),
+    "stl": (_number, _line, _word("stl")),
+    "e57": (_e57_content,),
 }

@@ -16,7 +16,7 @@ import traceback
 import tracemalloc
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -79,9 +79,9 @@ class Trial:
     rss_late: int = 0
 
 
-def inputs(seed: int) -> Callable[[int], Input]:
-    """A function from the number of an input to the input."""
-    mutator = Mutator(corpus())
+def inputs(seed: int, kinds: Sequence[str] = ()) -> Callable[[int], Input]:
+    """A function from the number of an input to the input; of some ``kinds`` of files only."""
+    mutator = Mutator(corpus(), kinds)
     names = list(formats.FORMATS)
 
     def make(index: int) -> Input:
@@ -95,7 +95,8 @@ def inputs(seed: int) -> Callable[[int], Input]:
 
 def allowance(data: bytes) -> int:
     """Bytes that reading ``data`` may allocate at one time."""
-    unpacked = 4 * LIMITS.max_bytes if b"PK\x03\x04" in data[:4] else 0
+    packed = data[:4] in (b"PK\x03\x04", b"LASF", b"ASTM") or b"binary_compressed" in data[:4096]
+    unpacked = 4 * LIMITS.max_bytes if packed else 0
     return _FLOOR_BYTES + _FACTOR * len(data) + unpacked
 
 
@@ -110,9 +111,9 @@ def read_one(one: Input) -> str:
     return "read"
 
 
-def run(seed: int, start: int, stop: int, place: "mmap.mmap") -> Trial:
+def run(seed: int, kinds: Sequence[str], start: int, stop: int, place: "mmap.mmap") -> Trial:
     """Read the inputs ``start`` to ``stop``; the present one's number stands in ``place``."""
-    make, trial = inputs(seed), Trial(start, stop)
+    make, trial = inputs(seed, kinds), Trial(start, stop)
     outcomes: Counter[str] = Counter()
     # Compiles and imports what is compiled and imported once a process.
     for data in (each for files in corpus().values() for each in files):
@@ -168,7 +169,8 @@ def _main() -> None:
     # The mutations make text of any kind: what readers warn of is noise here, unless an error.
     sys.stderr = io.StringIO()
     with Path(sys.argv[4]).open("r+b") as file, mmap.mmap(file.fileno(), 8) as place:
-        trial = run(seed, start, stop, place)
+        kinds = [kind for kind in sys.argv[5].split(",") if kind]
+        trial = run(seed, kinds, start, stop, place)
     sys.stdout.write(json.dumps(asdict(trial)))
 
 

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cleaning of the input: non-finite points, exact duplicates and unusable normals are dropped."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.orient.given import usable_normals
 
 __all__ = ["Dropped", "clean"]
 
@@ -31,8 +32,7 @@ class Dropped:
 def clean(cloud: Cloud) -> tuple[Cloud, Dropped]:
     """Drop non-finite points and exact duplicates; the first of each set of duplicates stays.
 
-    Unusable normals (any not finite, or all zero, as in Gaussian splat files) are left out, with
-    a note.
+    Normals that cannot be used become zero or are left out, with a note, see `usable_normals`.
 
     Args:
         cloud: as read.
@@ -50,7 +50,7 @@ def clean(cloud: Cloud) -> tuple[Cloud, Dropped]:
         keep = np.ones(len(cloud), np.bool_)
         keep[repeated] = False
         cloud = cloud.take(keep)
-    return _without_bad_normals(cloud), Dropped(non_finite, len(repeated))
+    return usable_normals(cloud), Dropped(non_finite, len(repeated))
 
 
 def _finite_rows(rows: NDArray[Any]) -> NDArray[np.bool_]:
@@ -91,16 +91,3 @@ def _hash(points: NDArray[Any]) -> NDArray[np.uint64]:
         hashes *= np.uint64(factor)
         hashes ^= hashes >> np.uint64(29)
     return hashes
-
-
-def _without_bad_normals(cloud: Cloud) -> Cloud:
-    if cloud.normals is None or not len(cloud):
-        return cloud
-    bad = len(cloud) - int(np.count_nonzero(_finite_rows(cloud.normals)))
-    if bad:
-        note = f"The normals are left out: {bad:,} of {len(cloud):,} are not finite."
-    elif not cloud.normals.any():
-        note = "The normals are left out: all are zero."
-    else:
-        return cloud
-    return replace(cloud, normals=None, notes=(*cloud.notes, note))

@@ -148,6 +148,9 @@ def train(
     steps: Annotated[
         int | None, typer.Option(help="Length, instead of the recipe's; raise it to train on.")
     ] = None,
+    ratio: Annotated[
+        int | None, typer.Option(help="R of a patch network, instead of the recipe's.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of weights and batches.")] = None,
     threads: Annotated[int | None, typer.Option(help="Torch threads.")] = None,
     start: Annotated[
@@ -159,11 +162,13 @@ def train(
     """Train on a folder of meshes; a run in the same folder is resumed exactly."""
     from dataclasses import replace
 
-    from pugeo_model.training.recipes import read_recipe
+    from pugeo_model.training.recipes import read_recipe, with_ratio
     from pugeo_model.training.run import load_shapes, run
 
     chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads, "start": start}
     wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})
+    if ratio is not None:
+        wanted = with_ratio(wanted, ratio)
     with _bar("{task.fields[info]}") as bar:
         task = bar.add_task("sample", total=None, info="")
         shapes = load_shapes(
@@ -238,6 +243,68 @@ def evaluate(
             ),
         )
     typer.echo(table)
+
+
+@app.command()
+def reproduce(
+    meshes: Annotated[Path, typer.Option(help="Folder of NAME.ply meshes, longest side 1.")],
+    samples: Annotated[Path, typer.Option(help="Folder with inputs/ and gt/ samples of them.")],
+    networks: Annotated[
+        Path, typer.Option(help="Folder of the trained networks and of all measured rows.")
+    ] = Path("reproduction"),
+    out: Annotated[Path, typer.Option("-o", "--out", help="The document.")] = Path("docs/paper.md"),
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only comparison, normals, ablation, geometry or robustness; repeatable."
+        ),
+    ] = None,
+    model: Annotated[str, typer.Option(help="The served weights to compare with.")] = "standard",
+    train_on: Annotated[
+        Path | None, typer.Option(help="Train the missing networks on these meshes first.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Of each training, not the recipes'.")] = None,
+    kitti: Annotated[Path | None, typer.Option(help="A Velodyne frame for the figure.")] = None,
+    surfaces: Annotated[bool, typer.Option(help="Measure reconstructed surfaces too.")] = True,
+    anew: Annotated[bool, typer.Option("--anew", help="Measure known rows again.")] = False,
+) -> None:
+    """Measure the tables and figures of the PUGeo-Net paper and write the document on them."""
+    try:
+        from pugeo_model.reproduce.run import PARTS, Reproduction
+        from pugeo_model.reproduce.trained import needed, train_missing
+    except ModuleNotFoundError as missing:
+        raise typer.BadParameter(
+            f"this needs {missing.name}, which comes with: pip install 'pugeo[evaluate]'"
+        ) from missing
+    unknown = [name for name in part or () if name not in PARTS]
+    if unknown:
+        raise typer.BadParameter(f"no part {unknown[0]!r}: give one of {', '.join(PARTS)}")
+    with _bar("{task.fields[info]}") as bar:
+        task = bar.add_task("reproduce", total=None, info="")
+        if train_on is not None:
+            train_missing(
+                train_on,
+                meshes,
+                networks,
+                needed(),
+                steps,
+                lambda name, step, words: bar.update(
+                    task, description=name, info=f"step {step:,} {words}"
+                ),
+            )
+        reproduction = Reproduction(
+            meshes,
+            samples,
+            networks,
+            model,
+            out,
+            kitti,
+            surfaces=surfaces,
+            anew=anew,
+            tick=lambda key, shape: bar.update(task, description=key, info=shape),
+        )
+        reproduction.make(part or PARTS)
+    _console.print(f"written to {out}")
 
 
 for _entry in entry_points(group="pugeo.commands"):

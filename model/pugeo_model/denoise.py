@@ -17,6 +17,9 @@ __all__ = ["denoised_tile", "input_is_exact", "needs_denoising"]
 def needs_denoising(prepared: PreparedTile) -> bool:
     """Return whether the input is noisy, may be moved, and was not moved yet."""
     tile = prepared.tile
+    if tile.patch_ratio is not None:
+        # Networks that upsample whole patches predict no charts to move points onto.
+        return False
     return prepared.noise > TUNING.noise_threshold and not tile.keeps_input and tile.noisy is None
 
 

@@ -72,9 +72,15 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     elif tile.noisy is not None:
         projected = replace(projected, points=_spread_evenly(prepared, projected))
     normals, signs, parts = _oriented(prepared, projected)
-    source = Cloud(prepared.points, colors=prepared.cloud.colors, scalars=prepared.cloud.scalars)
+    source = replace(prepared.cloud, points=prepared.points)
     colors, scalars = transfer_attributes(source, projected.points)
-    dense = Cloud(tile.normalisation.world(projected.points), normals, colors, scalars)
+    dense = replace(
+        prepared.cloud,
+        points=tile.normalisation.world(projected.points),
+        normals=normals,
+        colors=colors,
+        scalars=scalars,
+    )
     if tile.keeps_input:
         dense.points[: tile.core] = tile.cloud.points[: tile.core]
     border = Border(signs, None if prepared.core.all() else _border_points(prepared, projected))
@@ -117,14 +123,25 @@ def _oriented(
         oriented = orient_by_input(axes, prepared.cloud.normals, graph)
         return transfer_signs(projected.normals, projected.nearest, oriented), None, None
     if tile.orient == "viewpoint":
-        assert tile.viewpoint is not None
-        viewpoint = np.asarray(tile.normalisation.unit(tile.viewpoint), np.float64)
-        normals = orient_along(projected.normals, viewpoint - projected.points)
+        viewpoints = _viewpoints(prepared, projected)
+        normals = orient_along(projected.normals, viewpoints - projected.points)
     elif tile.orient == "outward":
         normals = orient_along(projected.normals, projected.points - tile.centroid)
     else:
         normals = projected.normals
     return normals, None, None
+
+
+def _viewpoints(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:
+    """Sensor positions, unit scale: ``(3,)`` for all dense points, or ``(K, 3)``, one for each."""
+    tile, cloud = prepared.tile, prepared.cloud
+    if tile.viewpoint is not None:
+        return np.asarray(tile.normalisation.unit(tile.viewpoint))
+    assert cloud.viewpoints is not None
+    places = (cloud.viewpoints - tile.normalisation.offset) / tile.normalisation.scale
+    if len(places) == 1:
+        return np.asarray(places[0])
+    return np.asarray(places[cloud.scalars["scan"][projected.nearest]])
 
 
 def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints:

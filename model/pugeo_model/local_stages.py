@@ -2,13 +2,14 @@
 """Stages of a tile, run in this process."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pugeo_model.denoise import denoised_tile, needs_denoising
 from pugeo_model.finish import UpsampledTile, finish
 from pugeo_model.prepare import PreparedTile, prepare
 from pugeo_model.queries import input_queries, propose, select_survivors
-from pugeo_model.resample.atlas import Atlas, PatchCharts
+from pugeo_model.resample.atlas import Atlas, PatchCharts, Projected
+from pugeo_model.resample.overlap import PatchPoints, merge_overlapping
 from pugeo_model.stage_times import StageTimes
 from pugeo_model.tiles import Tile
 
@@ -18,6 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["LocalStages", "denoise", "densify"]
 
 
+def merge_patches(prepared: PreparedTile, patches: Sequence[PatchPoints]) -> Projected:
+    """Select the output points of a network that upsamples whole patches."""
+    tile = prepared.tile
+    return merge_overlapping(
+        prepared.points, prepared.core, patches, tile.n_out, keeps_input=tile.keeps_input
+    )
+
+
 def denoise(model: "Model", prepared: PreparedTile, charts: Sequence[PatchCharts]) -> Tile | None:
     """Move the points of a noisy tile onto their charts; ``None`` if they hardly move."""
     atlas = Atlas.of(prepared.points, prepared.frames, charts)
@@ -25,16 +34,21 @@ def denoise(model: "Model", prepared: PreparedTile, charts: Sequence[PatchCharts
 
 
 def densify(
-    model: "Model", prepared: PreparedTile, charts: Sequence[PatchCharts], times: StageTimes
+    model: Any, prepared: PreparedTile, charts: Sequence[Any], times: StageTimes
 ) -> UpsampledTile:
     """Compute the dense points of a tile from its charts.
 
     Args:
         model: projects points onto charts with its heads.
         prepared: the tile.
-        charts: charts of all its patches, in any order.
+        charts: charts or points of all its patches, in any order.
         times: receives the seconds of ``project``, ``merge`` and ``finish``.
     """
+    if prepared.tile.patch_ratio is not None:
+        with times.measure("merge"):
+            merged = merge_patches(prepared, charts)
+        with times.measure("finish"):
+            return finish(prepared, merged)
     with times.measure("merge"):
         atlas = Atlas.of(prepared.points, prepared.frames, charts)
         # Candidates on the tangent planes (eq. 4), 1.5 times as many as output points.
@@ -66,7 +80,7 @@ class LocalStages:
         batches: seconds and number of patches of each ``predict``.
     """
 
-    def __init__(self, model: "Model", progress: Callable[[str, float], object]) -> None:
+    def __init__(self, model: Any, progress: Callable[[str, float], object]) -> None:
         self._model = model
         self._progress = progress
         self.times = StageTimes(on_begin=lambda stage: progress(stage, 0.0))
@@ -77,9 +91,9 @@ class LocalStages:
         with self.times.measure("prepare"):
             return prepare(tile)
 
-    async def predict(self, prepared: PreparedTile) -> list[PatchCharts]:
+    async def predict(self, prepared: PreparedTile) -> list[Any]:
         """Run patches through the network one at a time, so that no result depends on batching."""
-        charts: list[PatchCharts] = []
+        charts: list[Any] = []
         before = self.times.seconds.get("predict", 0.0)
         with self.times.measure("predict"):
             for patch in prepared.patches:

@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.attributes import mark_labels
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.overlapping import patch_count
 from pugeo_model.normalise import Normalisation, normalise
 from pugeo_model.options import LARGEST_RATIO, Options, refuse
+from pugeo_model.orient.given import signs_agree
 from pugeo_model.orient.methods import resolve_method
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
+from pugeo_model.units import coordinate_warnings
 
 __all__ = ["Plan", "make_plan"]
 
@@ -36,6 +40,7 @@ class Plan:
         orient: the method that gives normals their signs, never ``auto``.
         n_out: number of output points.
         report: counts and notes so far, JSON-able.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
     """
 
     cloud: Cloud
@@ -49,6 +54,7 @@ class Plan:
     orient: str
     n_out: int
     report: dict[str, Any]
+    patch_ratio: int | None = None
 
     @property
     def keeps_input(self) -> bool:
@@ -94,10 +100,16 @@ class Plan:
             viewpoint=self.options.viewpoint,
             centroid=self.centroid,
             seed=self.options.seed,
+            patch_ratio=self.patch_ratio,
         )
 
 
-def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> Plan:
+def make_plan(
+    cloud: Cloud,
+    options: Options,
+    tile_size: int | None = None,
+    patch_ratio: int | None = None,
+) -> Plan:
     """Clean and normalise a cloud, and divide it into tiles.
 
     Args:
@@ -105,40 +117,44 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         options: options of the caller.
         tile_size: largest number of input points in the core of a tile; by default it follows
             from the number of output points.
+        patch_ratio: ratio R of a network that upsamples whole patches, which is the largest ratio
+            then; ``None`` if charts are predicted.
 
     Raises:
         UntreatableCloudError: the points left after cleaning span no surface.
         BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` needs
             normals that the cloud does not have.
     """
-    cleaned, dropped = clean(cloud)
+    cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
     n_out = options.points_out(count)
-    most = int(LARGEST_RATIO) * count
+    largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
+    most = largest * count
     if not count <= n_out <= most:
         refuse(
             "n_points",
             n_out,
-            f"from {count} to {most} (1 to 32 times the points left after cleaning)",
+            f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
             limit=[count, most],
         )
     specs, noise, median_spacing = plan_tiles(points, n_out, tile_size)
     if noise is not None and noise > TUNING.noise_threshold and not options.keeps_points(count):
         # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
-    has_normals = cleaned.normals is not None
-    method = resolve_method(options.orient, options.viewpoint, has_normals=has_normals)
+    cleaned, method = _choose_signs(cleaned, options)
     report = {
         "points_in": len(cloud),
         "points_used": count,
         "points_out": n_out,
         "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
-        "patches": sum(spec.patches for spec in specs),
+        "patches": sum(
+            spec.patches if patch_ratio is None else patch_count(spec.charted) for spec in specs
+        ),
         "tiles": len(specs),
         "ratio": n_out / count,
         "orient": method,
-        "notes": list(cleaned.notes),
+        "notes": [*cleaned.notes, *coordinate_warnings(cleaned.points)],
     }
     return Plan(
         cloud=cleaned,
@@ -152,4 +168,22 @@ def make_plan(cloud: Cloud, options: Options, tile_size: int | None = None) -> P
         orient=method,
         n_out=n_out,
         report=report,
+        patch_ratio=patch_ratio,
     )
+
+
+def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:
+    """Choose the method that gives normals their signs, with a note where the input misleads.
+
+    ``auto`` means the input's normals if their signs agree, else a viewpoint if there is one.
+    """
+    given = cloud.normals is not None
+    viewpoint = cloud.viewpoints if options.viewpoint is None else options.viewpoint
+    method = resolve_method(options.orient, viewpoint, has_normals=given)
+    if method != "input" or signs_agree(cloud):
+        return cloud, method
+    note = "The input's normals have random signs: neighbours often point to opposite sides."
+    if options.orient == "auto":
+        method = resolve_method("auto", viewpoint, has_normals=False)
+        note += f" The signs come from {method!r} instead."
+    return replace(cloud, notes=(*cloud.notes, note)), method

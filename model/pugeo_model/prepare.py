@@ -3,6 +3,7 @@
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,9 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
+from pugeo_model.geometry.overlapping import overlapping_patches
 from pugeo_model.geometry.partition import PATCH_SIZE, partition
-from pugeo_model.geometry.patches import Patch, extract_patch
+from pugeo_model.geometry.patches import extract_patch
 from pugeo_model.tiles import Tile
 
 __all__ = ["PreparedTile", "prepare"]
@@ -45,7 +47,7 @@ class PreparedTile:
     neighbours: NDArray[np.int32]
     frames: Frames
     area: NDArray[np.float64]
-    patches: list[Patch]
+    patches: list[Any]
     noise: float
 
     @property
@@ -68,10 +70,14 @@ def prepare(tile: Tile) -> PreparedTile:
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
     ends = np.cumsum([0] + [len(core) for core in cores])
-    patches = [
-        extract_patch(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
-        for start, stop in itertools.pairwise(ends)
-    ]
+    patches: list[Any]
+    if tile.patch_ratio is None:
+        patches = [
+            extract_patch(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)
+            for start, stop in itertools.pairwise(ends)
+        ]
+    else:
+        patches = overlapping_patches(points[: tile.charted])
     return PreparedTile(
         tile=tile,
         cloud=tile.cloud.take(order),

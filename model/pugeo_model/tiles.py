@@ -87,6 +87,7 @@ class Tile:
         centroid: ``(3,)`` float64, of the whole cloud, unit scale.
         seed: seed of the sample.
         noisy: measurements of the original input, if ``points`` were denoised.
+        patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
     """
 
     cloud: Cloud
@@ -105,6 +106,7 @@ class Tile:
     centroid: NDArray[np.float64]
     seed: int
     noisy: NoisyInput | None = None
+    patch_ratio: int | None = None
 
 
 def plan_tiles(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.assembly import Result, assemble
 from pugeo_model.cloud import Cloud
+from pugeo_model.formats.meaning import from_array
 from pugeo_model.local_stages import LocalStages
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options
@@ -32,7 +33,7 @@ class Upsampler:
     def __init__(self, weights: str | Path = "standard") -> None:
         from pugeo_model.weights import load
 
-        self.model = load(weights)
+        self.model: Any = load(weights)
 
     def __call__(
         self,
@@ -49,7 +50,7 @@ class Upsampler:
         """Upsample a cloud.
 
         Args:
-            cloud: a cloud, or points ``(M, 3)``.
+            cloud: a cloud, or ``(M, K)`` numbers: points, and further columns as in `from_array`.
             ratio: output points per input point, 1..32.
             n_points: number of output points; replaces ``ratio``.
             orient: method that gives normals their signs, see :class:`Options`.
@@ -63,9 +64,10 @@ class Upsampler:
             CloudError: the cloud or an option is invalid.
         """
         if not isinstance(cloud, Cloud):
-            cloud = Cloud(np.asarray(cloud, dtype=np.result_type(cloud, np.float32)))
+            cloud = from_array(np.asarray(cloud))
         options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
-        return self.upsample(make_plan(cloud, options), progress)
+        plan = make_plan(cloud, options, patch_ratio=self.model.patch_ratio)
+        return self.upsample(plan, progress)
 
     def upsample(
         self, plan: Plan, progress: Callable[[str, int, int], None] | None = None

@@ -4,12 +4,9 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pugeo_model.errors import BadOptionError
-
-if TYPE_CHECKING:
-    from pugeo_model.network.model import Model
 
 __all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
 
@@ -53,21 +50,26 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     return card
 
 
-def load(name_or_path: str | Path = "standard") -> "Model":
+def load(name_or_path: str | Path = "standard") -> Any:
     """Build the network that a card describes and load its weights.
+
+    Returns:
+        A ``Model``, which predicts charts, or a ``PatchModel``, which upsamples whole patches.
 
     Raises:
         BadOptionError: no such weights.
     """
     from safetensors.torch import load_file
 
+    from pugeo_model.network.build import build_network
     from pugeo_model.network.model import Model
+    from pugeo_model.network.patch_model import PatchModel
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
     card = read_card(name_or_path)
-    net = PUGeoNet(Architecture.from_json(card["architecture"]))
+    net = build_network(Architecture.from_json(card["architecture"]))
     net.load_state_dict(load_file(locate(name_or_path)))
-    return Model(net, card)
+    return Model(net, card) if isinstance(net, PUGeoNet) else PatchModel(net, card)
 
 
 def start_from(net: Any, name_or_path: str | Path) -> None:

@@ -29,7 +29,7 @@ from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Readings, Telemetry
-from pugeo_service.routes import docs, health, metrics, models, upsample
+from pugeo_service.routes import docs, health, metrics, models, page, upsample
 from pugeo_service.routes import jobs as job_routes
 from pugeo_service.settings import Settings
 
@@ -124,7 +124,7 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, job_routes, models, health, docs):
+    for module in (upsample, job_routes, models, health, docs, page):
         app.include_router(module.router)
     if service.settings.metrics_port is None:
         app.include_router(metrics.router)

@@ -35,7 +35,7 @@ def _place() -> mmap.mmap:
 
 def test_broken_files(place: mmap.mmap) -> None:
     """A thousand, through all readers: a cloud or a CloudError, for little memory and time."""
-    found = trial.run(0, START, STOP, place)
+    found = trial.run(0, (), START, STOP, place)
     assert found.findings == []
     assert sum(found.outcomes.values()) == STOP - START
     assert {key.split()[0] for key in found.outcomes} == set(corpus())
@@ -82,7 +82,7 @@ def test_findings(monkeypatch: pytest.MonkeyPatch, place: mmap.mmap, fault: str)
         clock = itertools.count(0.0, 1.5)
         monkeypatch.setattr(time, "thread_time", lambda: next(clock))
         monkeypatch.setattr(trial, "SECONDS", 1.0)
-    found = trial.run(0, 100, 104, place).findings
+    found = trial.run(0, (), 100, 104, place).findings
     if fault == "linger":
         assert [one["index"] for one in found] == [100, 101, 102, 103]
         assert "took 1.5 s" in found[0]["what"]

@@ -61,7 +61,7 @@ CASES: dict[str, tuple[bytes, dict[str, str], str, int]] = {
     "an unknown orientation": (ply(GOOD), {}, "?orient=sideways", 422),
     "a viewpoint that is missing": (ply(GOOD), {}, "?orient=viewpoint", 422),
     "too many points out for the input": (ply(GOOD), {}, "?n_points=100000", 422),
-    "an unknown format of the answer": (ply(GOOD), {}, "?format=las", 422),
+    "an unknown format of the answer": (ply(GOOD), {}, "?format=docx", 422),
     "an output format that does not exist": (ply(GOOD), {"Accept": "image/png"}, "", 406),
     "another content type": (ply(GOOD), {"Content-Type": "image/png"}, "", 415),
     "a compressed body": (ply(GOOD), {"Content-Encoding": "gzip"}, "", 415),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pugeo_model import Cloud
-from pugeo_model.attributes import transfer_attributes
+from pugeo_model.attributes import mark_labels, transfer_attributes
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]])
 
@@ -112,3 +112,51 @@ def test_large_offset_and_many_targets() -> None:
     np.testing.assert_allclose(scalars["v"], (weight * source.scalars["v"][rows]).sum(axis=1))
     mean = (weight[:, :, None] * source.colors[rows]).sum(axis=1)
     assert np.abs(colors - mean).max() < 0.5 + 1e-6
+
+
+def test_floating_labels() -> None:
+    """Floats that are labels by name or by value are those of the nearest point, with a note."""
+    scalars = {
+        "scalar_Classification": np.array([2.5, 6, 6, 6], np.float32),
+        "gps_time": np.array([1000.25, 1350.5, 1350.75, 1351]),
+        "scalar_Whole": np.array([2.0, 6, np.nan, 6]),
+        "height": np.array([0.5, 1, 2, 3]),
+    }
+    cloud = mark_labels(Cloud(CORNERS, scalars=scalars))
+    assert cloud.labels == {"scalar_Classification", "gps_time", "scalar_Whole"}
+    assert cloud.notes == (
+        (
+            "Scalars with whole values only are taken from the nearest point, not averaged: "
+            "scalar_Whole."
+        ),
+    )
+    _, found = transfer_attributes(cloud, np.array([[0.4, 0.1, 0], [0.6, 0, 0]]))
+    assert found["scalar_Classification"].tolist() == [2.5, 6]
+    assert found["gps_time"].tolist() == [1000.25, 1350.5]
+    assert found["scalar_Whole"].tolist() == [2, 6]
+    assert 0.5 < found["height"][0] < 1
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        *[(each, True) for each in ("label", "class", "scalar_Class", "ReturnNumber", "GpsTime")],
+        *[(each, True) for each in ("return_number", "Point Source ID", "ring", "timestamp", "t")],
+        *[(each, True) for each in ("rgb", "flags", "Number of Returns", "object_id", "scan")],
+        *[(each, False) for each in ("intensity", "reflectance", "height", "confidence", "depth")],
+        *[(each, False) for each in ("Illuminance (PCV)", "curvature", "temperature", "c3")],
+    ],
+)
+def test_names_of_labels(name: str, label: bool) -> None:
+    """Names of classes, returns, times, identifiers and flags are known as labels."""
+    values = np.array([0.5, 1.5, 2.5, 3.5], np.float32)
+    assert (name in mark_labels(Cloud(CORNERS, scalars={name: values})).labels) == label
+
+
+def test_colors_of_16_bits() -> None:
+    """Colours of 16 bits are averaged in 16 bits."""
+    colors = np.array([[0, 1000, 65535]] * 4, np.uint16)
+    found, _ = transfer_attributes(Cloud(CORNERS, colors=colors), np.array([[0.3, 0.2, 0]]))
+    assert found is not None
+    assert found.dtype == np.uint16
+    assert found.tolist() == [[0, 1000, 65535]]

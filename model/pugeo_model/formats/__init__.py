@@ -1,37 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading and writing point clouds.
 
-A new file format is one new module with the names of `Format`, entered in ``_MODULES``; with
-those of `ByRows`, if it can, in ``BY_ROWS`` too.
+A new file format is one new module with the names of `Reader`, or of `Format` if it is written too,
+entered in ``_MODULES``; if its rows follow each other, also in ``BY_ROWS``.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Protocol, cast
 
-from pugeo_model.cloud import Cloud
+from pugeo_model.cloud import Cloud, SourceInfo
 from pugeo_model.errors import MalformedFileError, UnsupportedFormatError
-from pugeo_model.formats import json_points, npy, npz, ply, ply_ascii, xyz
+from pugeo_model.formats import (
+    e57,
+    json_points,
+    las,
+    laz,
+    npy,
+    npz,
+    obj,
+    pcd,
+    ply,
+    ply_ascii,
+    ptx,
+    stl,
+    xyz,
+)
 from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
 __all__ = [
     "BY_ROWS",
     "FORMATS",
+    "WRITABLE",
     "ByRows",
     "Format",
     "Limits",
+    "Reader",
     "by_rows",
     "detect",
+    "dropped",
+    "output_format",
     "read",
     "write",
     "written_as",
 ]
 
 
-class Format(Protocol):
-    """What a module must have to be a format.
+class Reader(Protocol):
+    """Names that a module must have to be a format that is read.
 
     Attributes:
         NAME: key in ``FORMATS``.
@@ -44,31 +63,47 @@ class Format(Protocol):
     MEDIA_TYPES: tuple[str, ...]
 
     def sniff(self, head: bytes, /) -> bool:
-        """Whether a file that begins with these bytes is of this format."""
+        """True if a file that begins with these bytes is of this format."""
 
     def read(self, file: IO[bytes], limits: Limits, /) -> Cloud:
         """Read a seekable file from its current position."""
+
+
+class Format(Reader, Protocol):
+    """Names that a module must have to be a format that is read and written.
+
+    A format without room for some attributes has a function ``drops(cloud)`` too, which names
+    those of a cloud.
+    """
 
     def write(self, cloud: Cloud, file: IO[bytes], /) -> None:
         """Write a cloud; the file need not be seekable."""
 
 
 class ByRows(Protocol):
-    """What a format has besides whose rows follow each other: it is written part by part."""
+    """Functions of a format whose rows follow each other: it is written part by part."""
 
     def head(self, cloud: Cloud, count: int, /) -> bytes:
-        """What comes before the rows of ``count`` points like those of the cloud."""
+        """Bytes before the rows of ``count`` points with the attributes of ``cloud``."""
 
     def rows(self, cloud: Cloud, /) -> Iterator[bytes]:
         """The rows of some of the points."""
 
 
-# Asked in this order: what is recognised by less comes later.
-_MODULES: tuple[Format, ...] = (ply_ascii, ply, npz, npy, json_points, xyz)
+# Asked in this order: formats that are recognised by less come later.
+_MODULES: tuple[Reader, ...] = (
+    *(ply_ascii, ply, npz, npy, laz, las, e57, pcd, ptx, json_points, stl, obj, xyz),
+)
 
-FORMATS: dict[str, Format] = {module.NAME: module for module in _MODULES}
+FORMATS: dict[str, Reader] = {module.NAME: module for module in _MODULES}
+"""All formats that are read."""
 
-BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz}
+WRITABLE: dict[str, Format] = {
+    name: cast("Format", module) for name, module in FORMATS.items() if hasattr(module, "write")
+}
+"""The formats among them that are written too."""
+
+BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz, "pcd": pcd}
 
 _HEAD_BYTES = 4096
 
@@ -84,7 +119,7 @@ def detect(file: IO[bytes], *, name: str | None = None) -> str:
         A key of ``FORMATS``.
 
     Raises:
-        UnsupportedFormatError: neither says anything.
+        UnsupportedFormatError: neither is known.
         MalformedFileError: the file is empty.
     """
     here = file.tell()
@@ -98,7 +133,7 @@ def detect(file: IO[bytes], *, name: str | None = None) -> str:
     if name is not None and (found := _by_extension(name)) is not None:
         return found
     raise UnsupportedFormatError(
-        f"The content is of no known format. Readable are {_known()}.",
+        f"The content is of no known format. Readable are {_described(FORMATS)}.",
         formats=list(FORMATS),
     )
 
@@ -121,21 +156,23 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
         LimitExceededError: too large.
         OSError: the path cannot be read.
     """
-    module = None if format is None else _named(format)
+    module = None if format is None else _reader(format)
     with seekable(source, limits) as file:
         if module is None:
             name = os.fspath(source) if isinstance(source, str | os.PathLike) else None
             module = FORMATS[detect(file, name=name)]
-        return module.read(file, limits)
+        cloud = module.read(file, limits)
+    info = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
+    return replace(cloud, source=info)
 
 
 def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
     """Write a point cloud.
 
     Args:
-        cloud: what to write; its notes are not part of any format.
+        cloud: points and attributes; its notes are not part of any format.
         target: path, replaced only once the file is complete; or binary file, left open.
-        format: a key of ``FORMATS``; by the path's extension, else ``"ply"``, where ``None``.
+        format: a key of ``WRITABLE``; by the path's extension, else ``"ply"``, where ``None``.
 
     Raises:
         UnsupportedFormatError: no such format, or an extension that belongs to none.
@@ -143,17 +180,39 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
     """
     if isinstance(target, str | os.PathLike):
         path = os.fspath(target)
-        module = _named(format or written_as(path))
+        module = _writer(format or written_as(path))
         with replacing(path) as file:
             module.write(cloud, file)
     else:
-        _named(format or "ply").write(cloud, target)
+        _writer(format or "ply").write(cloud, target)
+
+
+def output_format(read_as: str | None) -> str:
+    """Choose the format of an answer to an input: its own, or PLY where that cannot be written.
+
+    Args:
+        read_as: a key of ``FORMATS``, such as ``cloud.source.format``; ``None`` for a cloud that
+            comes from no file.
+    """
+    return read_as if read_as in WRITABLE else "ply"
+
+
+def dropped(cloud: Cloud, format: str) -> str | None:
+    """A note that names the attributes of a cloud that a format has no room for, if there are any.
+
+    Args:
+        cloud: the cloud to be written.
+        format: a key of ``WRITABLE``.
+    """
+    module = WRITABLE[format]
+    names: list[str] = module.drops(cloud) if hasattr(module, "drops") else []
+    return f"Not written, since {format} has no room for it: {', '.join(names)}." if names else None
 
 
 def by_rows(cloud: Cloud, format: str) -> bool:
-    """Whether clouds like this one can be written part by part, by the format in ``BY_ROWS``.
+    """True if clouds like this one can be written part by part, by the format in ``BY_ROWS``.
 
-    Scalars of 64-bit integers are stored in whatever holds all values, which no part knows.
+    Scalars of 64-bit integers are stored in a type that holds all values, which no part knows.
     """
     wide = any(v.dtype.kind in "iu" and v.dtype.itemsize == 8 for v in cloud.scalars.values())
     return format in BY_ROWS and not wide
@@ -163,24 +222,35 @@ def written_as(path: str | os.PathLike[str]) -> str:
     """The format that `write` takes for a path: by its extension, ``"ply"`` without one.
 
     Raises:
-        UnsupportedFormatError: an extension that belongs to none.
+        UnsupportedFormatError: an extension that belongs to no format that is written.
     """
     name = os.fspath(path)
     key = _by_extension(name)
-    if key is None and Path(name).suffix:
+    if (key is None and Path(name).suffix) or (key is not None and key not in WRITABLE):
         raise UnsupportedFormatError(
-            f"No format has the extension of {Path(name).name!r}. Writable are {_known()}.",
-            formats=list(FORMATS),
+            f"No format that is written has the extension of {Path(name).name!r}. Writable are "
+            f"{_described(WRITABLE)}.",
+            formats=list(WRITABLE),
         )
     return key or "ply"
 
 
-def _named(name: str) -> Format:
+def _reader(name: str) -> Reader:
     if name not in FORMATS:
         raise UnsupportedFormatError(
-            f"There is no format {name!r}. There are {_known()}.", formats=list(FORMATS)
+            f"There is no format {name!r}. There are {_described(FORMATS)}.", formats=list(FORMATS)
         )
     return FORMATS[name]
+
+
+def _writer(name: str) -> Format:
+    if name not in WRITABLE:
+        problem = "is read only" if name in FORMATS else "is unknown"
+        raise UnsupportedFormatError(
+            f"The format {name!r} {problem}. Writable are {_described(WRITABLE)}.",
+            formats=list(WRITABLE),
+        )
+    return WRITABLE[name]
 
 
 def _by_extension(name: str) -> str | None:
@@ -188,8 +258,8 @@ def _by_extension(name: str) -> str | None:
     return next((key for key, module in FORMATS.items() if extension in module.EXTENSIONS), None)
 
 
-def _known() -> str:
+def _described(modules: Mapping[str, Reader]) -> str:
     return ", ".join(
         f"{key} ({' '.join(module.EXTENSIONS)})" if module.EXTENSIONS else key
-        for key, module in FORMATS.items()
+        for key, module in modules.items()
     )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """JSON: ``{"points": [[x, y, z], ...], "normals": ..., "colors": ..., "scalars": {...}}``."""
 
+import re
 from collections.abc import Iterator
 from typing import IO, Annotated, Any, TypeVar
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import MalformedFileError
-from pugeo_model.formats.colors import to_uint8
+from pugeo_model.formats.colors import to_channels
 from pugeo_model.formats.limits import Limits
 
 __all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "encode", "read", "sniff", "write"]
@@ -21,15 +22,17 @@ EXTENSIONS: tuple[str, ...] = (".json",)
 MEDIA_TYPES: tuple[str, ...] = ("application/json",)
 
 _BLOCK_ROWS = 16_384
+# Python's json writes these, though JSON has no such values.
+_NOT_FINITE = re.compile(rb"(?<=[\[,])\s{0,9}-?(?:NaN|Infinity)(?=\s{0,9}[\],])")
 _MAX_SCALARS = 256
 
-_Row = tuple[float, float, float]
+_Row = tuple[float | None, float | None, float | None]
 _Color = Annotated[list[int | float], msgspec.Meta(min_length=3, max_length=4)]
 _Scalar = list[bool | int | float | None]
 
 
 class _Document(msgspec.Struct, forbid_unknown_fields=True):
-    """The outer shape; what is inside is counted before it is decoded."""
+    """The document's keys; their values are counted before they are decoded."""
 
     points: msgspec.Raw
     normals: msgspec.Raw = msgspec.Raw(b"null")
@@ -45,15 +48,16 @@ _Item = TypeVar("_Item")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a JSON object."""
+    """True if a file with these first bytes is a JSON object."""
     return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
 def read(file: IO[bytes], limits: Limits) -> Cloud:
     """Read a cloud; points become float64.
 
-    Colours are 0..1 where any of them has a decimal point, else 0..255. A scalar of whole
-    numbers is a label, of true and false a mask; ``null`` in it stands for an unknown value.
+    Colours are 0..1 where any of them has a decimal point, else 0..255, or 0..65535 where one
+    exceeds 255. A scalar of whole numbers is a label, of true and false a mask. ``null``, and NaN
+    and Infinity as Python writes them, are missing values: NaN.
 
     A decoded row takes some 150 bytes before it becomes part of an array; rows are counted
     before they are decoded.
@@ -63,12 +67,15 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         limits: ``max_points`` bounds the rows.
 
     Raises:
-        MalformedFileError: not JSON, an unknown key, a row that is not three finite numbers, lists
+        MalformedFileError: not JSON, an unknown key, a row that is not three numbers, lists
             of different lengths. The message has the place, such as ``$.points[17]``.
         LimitExceededError: more points than ``limits``.
     """
+    text = file.read().removeprefix(b"\xef\xbb\xbf")
+    if _NOT_FINITE.search(text):
+        text = _NOT_FINITE.sub(b"null", text)
     try:
-        document = _documents.decode(file.read().removeprefix(b"\xef\xbb\xbf"))
+        document = _documents.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise _bad(
             f"The JSON cannot be read: {error}. Allowed keys are points (required), normals, "
@@ -84,7 +91,7 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         with np.errstate(over="ignore"):
             normals = np.array(rows, np.float64).reshape(-1, 3).astype(np.float32)
     del rows
-    colors: NDArray[np.uint8] | None = None
+    colors: NDArray[Any] | None = None
     if not _is_null(document.colors):
         channels = _decode("colors", document.colors, _colors, limits)
         _check_length("colors", len(channels), count)
@@ -97,7 +104,7 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
 
 
 def encode(cloud: Cloud) -> Iterator[bytes]:
-    """Yield a document, some thousand rows at a time; what is not finite is ``null``."""
+    """Yield a document, some thousand rows at a time; values that are not finite are ``null``."""
     yield b'{"points":'
     yield from _array(cloud.points)
     if cloud.normals is not None:
@@ -140,7 +147,7 @@ def _is_null(raw: msgspec.Raw) -> bool:
 def _decode(
     key: str, raw: msgspec.Raw, decoder: msgspec.json.Decoder[_Item], limits: Limits
 ) -> _Item:
-    """Decode what stands under a key, after counting its rows (numbers, for a scalar)."""
+    """Decode the value of a key, after counting its rows (numbers, for a scalar)."""
     data = np.frombuffer(raw, np.uint8)
     mark, others = (b",", 1) if decoder is _scalars else (b"[", -1)
     rows = int(np.count_nonzero(data == mark[0])) + others
@@ -157,7 +164,7 @@ def _check_length(key: str, found: int, count: int) -> None:
         raise _bad(f"'{key}' has {found:,} rows, but 'points' has {count:,}.", key=key)
 
 
-def _to_colors(rows: list[list[int | float]]) -> NDArray[np.uint8]:
+def _to_colors(rows: list[list[int | float]]) -> NDArray[Any]:
     width = len(rows[0]) if rows else 3
     for index, row in enumerate(rows):
         if len(row) != width:
@@ -168,14 +175,16 @@ def _to_colors(rows: list[list[int | float]]) -> NDArray[np.uint8]:
             )
     values = np.array(rows).reshape(-1, width)
     if values.dtype.kind != "f":
-        beyond = np.flatnonzero(((values < 0) | (values > 255)).any(axis=1))
+        beyond = np.flatnonzero(((values < 0) | (values > 65535)).any(axis=1))
         if len(beyond):
             index = int(beyond[0])
             raise _bad(
-                f"$.colors[{index}]: whole numbers must be in 0..255.", key="colors", row=index
+                f"$.colors[{index}]: whole numbers must be in 0..255, or in 0..65535 of 16 bits.",
+                key="colors",
+                row=index,
             )
-        values = values.astype(np.uint8)
-    return to_uint8(values)[0]
+        values = values.astype(np.uint16 if values.max(initial=0) > 255 else np.uint8)
+    return to_channels(values)[0]
 
 
 def _to_scalar(name: str, raw: msgspec.Raw, count: int, limits: Limits) -> NDArray[Any]:

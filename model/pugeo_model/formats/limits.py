@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How large an input may be before anything is allocated for it."""
+"""Limits of an input, checked before anything is allocated for it."""
 
 from dataclasses import dataclass
 

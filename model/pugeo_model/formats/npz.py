@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import CloudError, LimitExceededError, MalformedFileError
-from pugeo_model.formats.colors import to_uint8
+from pugeo_model.formats.colors import to_channels
 from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.meaning import from_array
 from pugeo_model.formats.stream import bytes_left
 
 __all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "NPY_MAGIC", "read", "sniff", "write"]
@@ -32,20 +33,22 @@ NPY_MAGIC = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
 _KNOWN = ("points", "normals", "colors")
 _READ_BYTES = 1 << 20
+_FEWEST_COLUMNS, _MOST_COLUMNS = 3, 256  # of a single array
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is an archive."""
+    """True if a file with these first bytes is an archive."""
     return head.startswith(_ZIP)
 
 
 def read(file: IO[bytes], limits: Limits) -> Cloud:
     """Read an archive with ``points``, ``normals``, ``colors`` and scalars, or one array.
 
-    Every other ``(M,)`` numeric array of an archive is a scalar. A single array is ``(M, 3)``
-    points, or ``(M, 6)`` points and normals. The size that each array declares is checked before
-    it is unpacked, so that a small archive cannot unpack to a large one.
+    Every other ``(M,)`` numeric array of an archive is a scalar. A single array is ``(M, K)``:
+    points, and further columns whose meaning is guessed, see `meaning.guess`. The declared size of
+    each array is checked before it is unpacked, so that a small archive cannot unpack to a large
+    one.
 
     Args:
         file: seekable, at the first byte.
@@ -62,16 +65,16 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     with _as_malformed("The array"):
         declared = _declared(file, "array")
         shape = declared.shape
-        if len(shape) != 2 or shape[1] not in (3, 6) or declared.dtype.kind not in "fiu":
+        wide = len(shape) == 2 and _FEWEST_COLUMNS <= shape[1] <= _MOST_COLUMNS
+        if not wide or declared.dtype.kind not in "fiu":
             raise _bad(
-                f"A single array must be numeric of shape (M, 3), points, or (M, 6), points and "
-                f"normals, not {declared}. Other columns need an npz archive."
+                f"A single array must be numeric of shape (M, 3), or have up to {_MOST_COLUMNS} "
+                f"columns more, not {declared}. An npz archive names its columns."
             )
         limits.check("max_points", shape[0], "Points of the array")
         limits.check("max_bytes", declared.size, "Bytes of the array")
         values = declared.read(file, bytes_left(file))
-    points = _points(values[:, :3])
-    return Cloud(points, _normals(values[:, 3:]) if shape[1] == 6 else None)
+    return from_array(values)
 
 
 def write(cloud: Cloud, file: IO[bytes]) -> None:
@@ -96,7 +99,7 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 @dataclass(frozen=True)
 class _Declared:
-    """What the header of an array says."""
+    """An array as its header describes it."""
 
     name: str
     shape: tuple[int, ...]
@@ -188,9 +191,9 @@ def _read_archive(file: IO[bytes], limits: Limits) -> Cloud:
         for name, each in declared.items()
         if name not in wanted
     ]
-    colors: NDArray[np.uint8] | None = None
+    colors: NDArray[Any] | None = None
     if "colors" in arrays:
-        colors, note = to_uint8(arrays.pop("colors"))
+        colors, note = to_channels(arrays.pop("colors"))
         notes += [note] if note else []
     return Cloud(points, normals, colors, arrays, tuple(notes))
 
@@ -219,7 +222,7 @@ def _points(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _normals(values: NDArray[Any]) -> NDArray[np.float32]:
-    # What float32 cannot hold becomes infinite: cleaning deals with it, no warning needed.
+    # A value that float32 cannot hold becomes infinite: cleaning drops it, no warning needed.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(values, np.float32)
 
@@ -264,8 +267,8 @@ def _check_directory(file: IO[bytes], limits: Limits) -> None:
 
 
 @contextmanager
-def _as_malformed(what: str) -> Iterator[None]:
-    """Turn what numpy, zipfile and zlib raise for bytes that lie into one error."""
+def _as_malformed(name: str) -> Iterator[None]:
+    """Turn the errors of numpy, zipfile and zlib about broken bytes into one."""
     try:
         yield
     except CloudError:
@@ -286,7 +289,7 @@ def _as_malformed(what: str) -> Iterator[None]:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise _bad(f"{what} cannot be read: {error}.") from error
+        raise _bad(f"{name} cannot be read: {error}.") from error
 
 
 def _bad(message: str) -> MalformedFileError:

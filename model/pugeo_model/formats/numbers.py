@@ -19,7 +19,9 @@ from pugeo_model.formats.stream import CHUNK_BYTES
 __all__ = ["NumberLines", "Rows"]
 
 _MAX_LINE_BYTES = 1 << 22
-_COMMENT = re.compile(rb"(?:#|//)[^\n]*")
+_COMMENT = re.compile(rb"(?:#|//)[^\n\r]*")
+# A cell without a value: between two separators, before the first one or after the last one.
+_BLANK_CELL = re.compile(rb"(?:(?<=[,;])|(?<![^\n\r]))[ \t]*(?=[,;])|(?<=[,;])[ \t]*(?=[\r\n])")
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class NumberLines:
         line: number of that line, from 1, for messages.
         translate: 256-byte table applied to the text, such as one that turns commas into blanks.
         comments: whether ``#`` and ``//`` start a comment.
+        blank_cells: whether a cell without a value, as in ``1,,3``, is a missing value (NaN).
     """
 
     def __init__(
@@ -57,12 +60,15 @@ class NumberLines:
         line: int = 1,
         translate: bytes | None = None,
         comments: bool = False,
+        blank_cells: bool = False,
     ) -> None:
         self._file = file
         self._line = line
         self._translate = translate
         self._comments = comments
-        self._rest = b""
+        self._blank_cells = blank_cells
+        self._rest = b""  # whole lines, ready to be parsed
+        self._line_start = b""  # of the line that the last chunk ended in, as it is in the file
         self._ended = False
 
     def take(self, count: int) -> Rows | None:
@@ -96,41 +102,50 @@ class NumberLines:
         return passed
 
     def __bool__(self) -> bool:
-        """Whether anything but blank lines is left."""
+        """True if anything but blank lines is left."""
         return self._fill()
 
     def _fill(self) -> bool:
         """Hold at least one whole line with a token, or return False at the end."""
-        while True:
-            cut = self._rest.rfind(b"\n") + 1
-            if cut and self._rest[:cut].strip():
-                return True
-            self._line += self._rest.count(b"\n", 0, cut)
-            self._rest = self._rest[cut:]
+        while not self._rest.strip():
+            self._line += self._rest.count(b"\n")
+            self._rest = b""
             if self._ended:
                 return False
-            if len(self._rest) > _MAX_LINE_BYTES:
+            if len(self._line_start) > _MAX_LINE_BYTES:
                 raise LimitExceededError(
                     f"Line {self._line} is longer than {_MAX_LINE_BYTES:,} bytes.",
                     name="max_line_bytes",
                     limit=_MAX_LINE_BYTES,
-                    value=len(self._rest),
+                    value=len(self._line_start),
                 )
             chunk = self._file.read(CHUNK_BYTES)
             if not chunk:
                 self._ended = True
                 chunk = b"\n"
-            if self._translate is not None:
-                chunk = chunk.translate(self._translate)
-            self._rest += chunk
-            if self._comments and (b"#" in self._rest or b"/" in self._rest):
-                self._rest = _strip_comments(self._rest)
+            text = self._line_start + chunk
+            cut = max(text.rfind(b"\n"), text.rfind(b"\r") if self._bare_returns else -1) + 1
+            self._rest, self._line_start = self._plain(text[:cut]), text[cut:]
+        return True
+
+    @property
+    def _bare_returns(self) -> bool:
+        """True if a carriage return alone ends a line."""
+        return self._translate is not None and self._translate[13] == 10
+
+    def _plain(self, lines: bytes) -> bytes:
+        """Whole lines without comments, with blank cells filled and separators translated."""
+        if self._comments and (b"#" in lines or b"/" in lines):
+            lines = _COMMENT.sub(b"", lines)
+        if self._blank_cells and (b"," in lines or b";" in lines):
+            lines = _BLANK_CELL.sub(b"nan", lines)
+        return lines if self._translate is None else lines.translate(self._translate)
 
     def _next(self, count: int) -> tuple[bytes, NDArray[np.int64], NDArray[np.int64]] | None:
         """Cut up to ``count`` rows off the buffer: their text, token starts and line numbers."""
         if count <= 0 or not self._fill():
             return None
-        whole = self._rest[: self._rest.rfind(b"\n") + 1]
+        whole = self._rest
         data = np.frombuffer(whole, np.uint8)
         # Blank is what it is to bytes.split: space and 9 to 13. Unsigned numbers wrap around.
         blank = (data == 32) | (data - np.uint8(9) <= 4)
@@ -145,12 +160,6 @@ class NumberLines:
         self._line += int(filled[-1]) + 1
         self._rest = self._rest[cut:]
         return whole[:cut], starts, lines
-
-
-def _strip_comments(text: bytes) -> bytes:
-    """Blank out comments of whole lines; the last, unfinished line waits for its end."""
-    cut = text.rfind(b"\n") + 1
-    return _COMMENT.sub(b"", text[:cut]) + text[cut:]
 
 
 def _not_a_number(text: bytes, line: int) -> MalformedFileError:

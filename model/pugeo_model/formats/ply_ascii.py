@@ -17,7 +17,7 @@ MEDIA_TYPES: tuple[str, ...] = ("text/ply", "text/x-ply")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a PLY file that announces text."""
+    """True if a file with these first bytes is a PLY file that announces text."""
     return ply.sniff(head) and re.search(rb"[\r\n]format[ \t]+ascii[ \t]", head) is not None
 
 
@@ -28,7 +28,7 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 
 def head(cloud: Cloud, count: int) -> bytes:
-    """What comes before the rows of ``count`` points like those of the cloud."""
+    """Bytes before the rows of ``count`` points with the attributes of ``cloud``."""
     return ply.header(cloud, count=count, text=True)
 
 

@@ -65,10 +65,10 @@ def seekable(source: Source, limits: Limits) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def replacing(target: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """Open a file that takes its place only once it is complete.
+    """Open a file for an atomic write: it replaces the target once it is complete.
 
     The bytes go to a temporary file next to ``target``, which is renamed over it on a clean
-    exit and removed after an exception: readers see the old file or the new one, never half.
+    exit and removed after an exception: readers see the old file or the whole new one.
     Something that is no regular file (``/dev/stdout``, a named pipe) is written directly.
 
     Raises:

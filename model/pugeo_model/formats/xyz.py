@@ -1,64 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points as text: XYZ, PTS, CSV and their kin, one point a line."""
+"""Points as text: XYZ, PTS, CSV and similar, one point a line."""
 
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import MalformedFileError
-from pugeo_model.formats.colors import to_uint8
 from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.meaning import are_whole, guess, standard_name
 from pugeo_model.formats.numbers import NumberLines, Rows
 from pugeo_model.formats.ply.columns import VertexColumns
-from pugeo_model.formats.ply.encode import RESERVED, body, columns
+from pugeo_model.formats.ply.encode import body, columns
 from pugeo_model.formats.ply.header import Element, Property
+from pugeo_model.formats.text_layout import Layout, as_utf8, find_layout, plain_head
 
 __all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
 
 NAME = "xyz"
-EXTENSIONS: tuple[str, ...] = (".xyz", ".pts", ".txt", ".csv", ".asc")
+EXTENSIONS: tuple[str, ...] = (
+    *(".xyz", ".pts", ".txt", ".csv", ".asc", ".xyzn", ".xyzrgb", ".neu", ".dat"),
+)
 MEDIA_TYPES: tuple[str, ...] = ("text/plain", "text/csv")
 
 _HEAD_BYTES = 65_536
 _MAX_COLUMNS = 256
-_TABLE = bytes.maketrans(b",;", b"  ")
-_TABLE_MAC = bytes.maketrans(b",;\r", b"  \n")
-_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
-_COMMENT = re.compile(rb"(?:#|//).*")
-_NAMES = re.compile(
-    rb"\s*(#|//)?[ \t]*(x[ \t,;]+y[ \t,;]+z\b[^\r\n]*)(?:\r\n?|\n|$)", re.IGNORECASE
-)
-_UNIT = 1e-2
+_GROUPS = (frozenset(["red", "green", "blue", "alpha"]), frozenset(["nx", "ny", "nz"]))
+_TABLE = bytes.maketrans(b',;"', b"   ")
+_TABLE_MAC = bytes.maketrans(b',;"\r', b"   \n")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether the first lines are numbers, three or more, with a count or names before them."""
-    if _NAMES.match(head):
+    """True if the first lines are numbers, three or more, with a count or names before them."""
+    try:
+        return find_layout(plain_head(head)) is not None
+    except MalformedFileError:
         return True
-    lines = _first_lines(head)
-    if lines and len(lines[0]) == 1:
-        lines = lines[1:]
-    if not lines or len(lines[0]) < 3:
-        return False
-    return all(_NUMBER.fullmatch(token) for token in lines[0])
 
 
 def read(file: IO[bytes], limits: Limits) -> Cloud:
     """Read lines of numbers, separated by blanks, commas or semicolons.
 
-    A first line with a single number is a count (PTS). ``#`` and ``//`` begin a comment. A first
-    line, comment or not, that begins with ``x y z`` names the columns, as in PLY. Otherwise what
-    the columns after x, y, z mean is guessed from their values, and the guess is noted:
-
-    - 6 columns: normals if all have unit length; else red, green, blue if all are whole numbers
-      in 0..255; else scalars ``c3``, ``c4``, ``c5``.
-    - 7 columns with whole numbers in 0..255 in the last three: intensity, red, green, blue.
-    - else scalars, labels where all values are whole numbers.
+    Lines before the first row may be comments (``#``, ``//``), a count of points (PTS), and names
+    of the columns, as a comment or not, in any order and with or without quotes. Named columns
+    mean the same as in PLY, in any case and with the usual other names (Easting, Rf, NormalX). The
+    meaning of unnamed columns is guessed from their values, see `meaning.guess`. A blank cell is a
+    missing value (NaN). UTF-8 and UTF-16 are read, with a byte order mark.
 
     Args:
         file: seekable, at the first byte.
@@ -69,28 +60,39 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
             rows than the count says, decimal commas.
         LimitExceededError: more points than ``limits``.
     """
+    with as_utf8(file, limits) as text:
+        return _read(text, limits)
+
+
+def _read(file: IO[bytes], limits: Limits) -> Cloud:
     start = file.tell()
     head = file.read(_HEAD_BYTES)
     _refuse_decimal_commas(head)
-    names, passed = _names(head)
-    file.seek(start + passed)
-    first = _first_lines(head[passed:])
-    bare = b"\r" in head and b"\n" not in head
+    text = head.decode("latin-1")
+    layout = find_layout(text) or Layout(None, False, 0, 0, False, False, "," in text)
+    file.seek(start + layout.passed)
     lines = NumberLines(
         file,
-        line=1 + head.count(b"\r" if bare else b"\n", 0, passed),
-        translate=_TABLE_MAC if bare else _TABLE,
+        line=1 + layout.lines,
+        translate=_TABLE_MAC if layout.bare_returns else _TABLE,
         comments=True,
+        blank_cells=layout.table,
     )
     declared: int | None = None
-    if first and len(first[0]) == 1 and (row := lines.take(1)) is not None:
+    if layout.counted and (row := lines.take(1)) is not None:
         declared = _count(row, limits)
-    table = _table(lines, declared, limits)
-    cloud = _guess(table, declared is not None) if names is None else _by_name(table, names)
-    if declared is None or not lines:
-        return cloud
-    note = f"Rows after the {declared:,} that the first line counts are ignored."
-    return replace(cloud, notes=(*cloud.notes, note))
+    width = len(layout.names) if layout.names is not None and layout.ragged else None
+    table = _table(lines, declared, limits, width)
+    if layout.names is None:
+        cloud = guess(table, counted=declared is not None)
+    else:
+        cloud = _by_name(table, layout.names)
+    notes = list(cloud.notes)
+    if layout.ragged:
+        notes.append("The tracks of COLMAP's points are dropped.")
+    if declared is not None and lines:
+        notes.append(f"Rows after the {declared:,} that the first line counts are ignored.")
+    return replace(cloud, notes=tuple(notes))
 
 
 def write(cloud: Cloud, file: IO[bytes]) -> None:
@@ -101,7 +103,7 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 
 def head(cloud: Cloud, count: int) -> bytes:
-    """What comes before the rows of ``count`` points like those of the cloud."""
+    """Bytes before the rows of ``count`` points with the attributes of ``cloud``."""
     del count  # the format does not say it
     names = [each.name for each in columns(cloud)]
     return f"# {' '.join(names)}\n".encode() if len(names) > 3 else b""
@@ -112,43 +114,9 @@ def rows(cloud: Cloud) -> Iterator[bytes]:
     return body(cloud, text=True)
 
 
-def _first_lines(head: bytes) -> list[list[bytes]]:
-    """Split the first two lines that hold anything into tokens."""
-    found: list[list[bytes]] = []
-    for line in re.split(rb"[\r\n]+", head):
-        tokens = _COMMENT.sub(b"", line.translate(_TABLE)).split()
-        if tokens:
-            found.append(tokens)
-            if len(found) == 2:
-                break
-    return found
-
-
-def _names(head: bytes) -> tuple[list[str] | None, int]:
-    """Find the names in a first line ``x y z ...``, and where the line after it begins."""
-    line = _NAMES.match(head)
-    if line is None:
-        return None, 0
-    names = line[2].translate(_TABLE).decode("utf-8", "replace").split()
-    # Capitals mean nothing in the names that PLY fixes; elsewhere they are kept.
-    names = [name.lower() if name.lower() in RESERVED else name for name in names]
-    rows = _first_lines(head[line.end() :])
-    fits = len(set(names)) == len(names) and (not rows or len(rows[-1]) == len(names))
-    if line[1] and not fits:
-        # A comment such as "# x y z in metres".
-        return None, 0
-    if not fits:
-        raise MalformedFileError(
-            f"The first line names {len(names)} columns, one of them twice, or the rows have "
-            "another number of them.",
-            code="bad_header",
-        )
-    return names, line.end()
-
-
 def _refuse_decimal_commas(head: bytes) -> None:
     """Refuse ``1,5 2,5 3,5`` and ``1,5;2,5;3,5``, which would read as six columns."""
-    for line in re.split(rb"[\r\n]+", head)[:2]:
+    for line in re.split(rb"[\r\n]+", head)[:3]:
         if re.match(rb"\s*[+-]?\d+,\d+(\s*;|[ \t]+)[+-]?\d+,\d+\b", line):
             raise MalformedFileError(
                 "Decimal commas are not read: write 1.5, not 1,5.", code="not_a_number"
@@ -167,17 +135,19 @@ def _count(row: Rows, limits: Limits) -> int:
     return int(value)
 
 
-def _table(lines: NumberLines, declared: int | None, limits: Limits) -> NDArray[np.float64]:
-    """Read all rows, or as many as declared, as ``(M, K)``."""
+def _table(
+    lines: NumberLines, declared: int | None, limits: Limits, leading: int | None
+) -> NDArray[np.float64]:
+    """Read all rows, or as many as declared, as ``(M, K)``; only ``leading`` columns if given."""
     blocks: list[NDArray[np.float64]] = []
-    width = found = 0
+    width, found = leading or 0, 0
     while declared is None or found < declared:
         rows = lines.take(limits.max_points + 1 if declared is None else declared - found)
         if rows is None:
             break
         lengths = np.diff(rows.starts)
         width = width or int(lengths[0])
-        wrong = np.flatnonzero(lengths != width)
+        wrong = np.flatnonzero(lengths != width if leading is None else lengths < width)
         if len(wrong) or not 3 <= width <= _MAX_COLUMNS:
             index = int(wrong[0]) if len(wrong) else 0
             line = int(rows.lines[index])
@@ -189,7 +159,10 @@ def _table(lines: NumberLines, declared: int | None, limits: Limits) -> NDArray[
             )
         found += len(rows)
         limits.check("max_points", found, "Points of the file, at least")
-        blocks.append(rows.values.reshape(-1, width))
+        if leading is None:
+            blocks.append(rows.values.reshape(-1, width))
+        else:
+            blocks.append(rows.values[rows.starts[:-1, None] + np.arange(width)])
     if declared is not None and found < declared:
         raise MalformedFileError(
             f"The first line counts {declared:,} points, found {found:,}.",
@@ -204,50 +177,46 @@ def _by_name(table: NDArray[np.float64], names: list[str]) -> Cloud:
     """Give columns the meaning that they would have in a PLY file."""
     if not len(table):
         table = np.empty((0, len(names)))
-    kinds = ["i8" if _are_whole(values) else "f8" for values in table.T]
-    properties = tuple(Property(n, k) for n, k in zip(names, kinds, strict=True))
-    vertices = VertexColumns(Element("vertex", len(table), properties))
-    # What float32 cannot hold becomes infinite: cleaning deals with it, no warning needed.
+    plain, notes = _standard_names(names)
+    used = [(name, values) for name, values in zip(plain, table.T, strict=True) if name]
+    kinds = ["i8" if are_whole(values) else "f8" for _, values in used]
+    for index, original in enumerate(n for n, kept in zip(names, plain, strict=True) if kept):
+        # "Rf" promises 0..1, also where all values happen to be 0 and 1.
+        if original.lower() in ("rf", "gf", "bf"):
+            kinds[index] = "f8"
+    properties = tuple(Property(n, k) for (n, _), k in zip(used, kinds, strict=True))
+    vertices = VertexColumns(Element("vertex", len(table), properties), "text")
+    # A value that float32 cannot hold becomes infinite: cleaning drops it, no warning needed.
     with np.errstate(over="ignore", invalid="ignore"):
-        for name, values in zip(names, table.T, strict=True):
+        for name, values in used:
             if name in vertices.sinks:
                 vertices.sinks[name][:] = values
-    return vertices.cloud()
+    cloud = vertices.cloud()
+    return replace(cloud, notes=(*cloud.notes, *notes))
 
 
-def _guess(table: NDArray[np.float64], counted: bool) -> Cloud:
-    points = np.ascontiguousarray(table[:, :3])
-    width = table.shape[1]
-    if width == 6 and _are_unit(table[:, 3:]):
-        note = "Columns 4 to 6 have unit length and were read as normals."
-        return Cloud(points, table[:, 3:].astype(np.float32), notes=(note,))
-    colors: NDArray[np.uint8] | None = None
+def _standard_names(names: list[str]) -> tuple[list[str | None], list[str]]:
+    """PLY names where columns have a standard meaning, ``None`` for an index, and notes."""
+    found: list[str | None] = []
     notes: list[str] = []
-    extras = list(range(3, width))
-    if width in (6, 7) and _are_bytes(table[:, -3:]):
-        colors, _ = to_uint8(table[:, -3:].astype(np.uint8))
-        notes.append(f"Columns {width - 2} to {width} were read as red, green, blue.")
-        extras = extras[:-3]
-    scalars: dict[str, NDArray[Any]] = {}
-    for column in extras:
-        values = np.ascontiguousarray(table[:, column])
-        name = "intensity" if colors is not None or (counted and width == 4) else f"c{column}"
-        if name != "intensity" and _are_whole(values):
-            values = values.astype(np.int64)
-        scalars[name] = values
-    if scalars:
-        notes.append(f"Unnamed columns were read as scalars: {', '.join(scalars)}.")
-    return Cloud(points, None, colors, scalars, tuple(notes))
-
-
-def _are_unit(rows: NDArray[np.float64]) -> bool:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool((np.abs(np.linalg.norm(rows, axis=1) - 1.0) <= _UNIT).all())
-
-
-def _are_bytes(rows: NDArray[np.float64]) -> bool:
-    return bool(((rows >= 0) & (rows <= 255) & (rows == np.rint(rows))).all())
-
-
-def _are_whole(values: NDArray[np.float64]) -> bool:
-    return bool(((np.abs(values) <= 2**53) & (values == np.rint(values))).all())
+    there = {standard_name(name) for name in names}
+    for name in names:
+        standard = standard_name(name)
+        # "a" alone is no alpha, nor "r" alone red.
+        group = next((group for group in _GROUPS if standard in group), frozenset())
+        if not group - {"alpha"} <= there:
+            standard = None
+        if not name or name == "Unnamed: 0":
+            found.append(None)
+            notes.append("The column without a name (an index) is dropped.")
+        elif standard is not None and standard not in found and standard not in names:
+            found.append(standard)
+        else:
+            found.append(name)
+    lowered = {name.lower() for name in names}
+    if lowered & {"longitude", "lon", "lng", "long"}:
+        notes.append(
+            "x and y are longitude and latitude in degrees: project them to metres first, since "
+            "distances between degrees and a height in metres mean nothing."
+        )
+    return found, notes

@@ -21,7 +21,7 @@ from pugeo_model.metrics.evaluation import Measured
 from pugeo_model.metrics.rasteriser import BACKGROUND, Camera, splat
 from pugeo_model.metrics.reconstruction import Mesh
 
-__all__ = ["LARGEST_ERROR", "draw"]
+__all__ = ["LARGEST_ERROR", "draw", "upright"]
 
 LARGEST_ERROR = 2e-3
 """Distance to the true surface at the end of the colour bar, of the longest side."""
@@ -47,7 +47,7 @@ def draw(measured: Measured, target: Path, pixels: int = 520) -> None:
     assert dense.normals is not None
     points, normals = dense.points.astype(np.float64), dense.normals.astype(np.float64)
     distance, _, _ = measured.truth.distance.nearest(points)
-    rotation = _upright(measured.truth.vertices)
+    rotation = upright(measured.truth.vertices)
     camera = Camera.on(measured.truth.vertices @ rotation.T, tilt=_TILT, pixels=pixels)
     row = measured.row
     gray = np.broadcast_to(_SURFACE_COLOR, points.shape)
@@ -75,7 +75,7 @@ def draw(measured: Measured, target: Path, pixels: int = 520) -> None:
     _write(panels, f"{measured.truth.name}, {measured.case.name}", target)
 
 
-def _upright(vertices: Floats) -> Floats:
+def upright(vertices: Floats) -> Floats:
     """Rotation ``(3, 3)`` for a mesh of unknown orientation: y or z up, broad side to the viewer.
 
     The longer of y and z is taken for the height.

@@ -70,15 +70,18 @@ class Frame(nn.Module):
 
     Args:
         features: channels of the input.
+        learned: predict T; it is the canonical frame otherwise (ablation of Table 3).
     """
 
-    def __init__(self, features: int) -> None:
+    def __init__(self, features: int, *, learned: bool = True) -> None:
         super().__init__()
-        self.out = _near_zero(Linear(features, 6))
+        self.out = _near_zero(Linear(features, 6)) if learned else None
         self.register_buffer("identity", torch.eye(3)[:2].flatten(), persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
         """``(n, features)`` -> ``(n, 3, 3)``; columns are the two tangents and the normal."""
+        if self.out is None:
+            return torch.eye(3).expand(len(features), 3, 3)
         with wide_products():
             out = self.out(features).float()
         first, second = (out + self.identity).unflatten(-1, (2, 3)).unbind(1)
@@ -97,10 +100,14 @@ class Samples(nn.Module):
     Args:
         features: channels of the input.
         width: hidden channels.
+        learned: adapt the pattern; it is the same for all charts otherwise (ablation of Table 3).
     """
 
-    def __init__(self, features: int, width: int) -> None:
+    def __init__(self, features: int, width: int, *, learned: bool = True) -> None:
         super().__init__()
+        self.learned = learned
+        if not learned:
+            return
         self.stretch = _near_zero(Linear(features, 4))
         self.code = Linear(features, width)
         self.pattern = Linear(4, width, bias=False)
@@ -111,6 +118,9 @@ class Samples(nn.Module):
     def forward(self, features: Tensor, count: int) -> Tensor:
         """``(n, features)`` -> ``(n, count, 2)`` in spacings."""
         pattern = torch.from_numpy(disk(count))
+        if not self.learned:
+            fixed: Tensor = (DISK_SIDE * pattern).expand(len(features), -1, -1)
+            return fixed
         inverse_root = count**-0.5
         position = torch.cat(
             [

@@ -46,3 +46,16 @@ def _spiral(count: int) -> NDArray[np.float64]:
     radius = np.sqrt((index + 0.5) / (count * np.pi))
     angle = index * _GOLDEN_ANGLE
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def regular_grid(count: int) -> NDArray[np.float32]:
+    """``count`` cell centres of a regular grid on a rectangle of area 1, ``(count, 2)`` float32.
+
+    As nearly square as the divisors of ``count`` allow: 4 = 2 x 2, 8 = 2 x 4, 12 = 3 x 4. Cells are
+    square.
+    """
+    rows = max(n for n in range(1, int(count**0.5) + 1) if count % n == 0)
+    v, u = np.mgrid[:rows, : count // rows].reshape(2, -1)
+    centred = np.stack([u - u.mean(), v - v.mean()], axis=1)
+    grid: NDArray[np.float32] = (centred / count**0.5).astype(np.float32)
+    return grid

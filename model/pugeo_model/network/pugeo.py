@@ -25,22 +25,28 @@ class Architecture:
         features: channels of the point features ``c_i``.
         options: further arguments of the backbone.
         head: channels of the surface head; the head of the samples has half as many.
+        adaptive_uv, linear_map: learn f1 and f2; otherwise the samples of all charts are the same,
+            or ``T`` is the canonical frame (ablations of Table 3).
     """
 
     backbone: str = "charts"
     features: int = 256
     options: tuple[tuple[str, int], ...] = (("width", 160), ("edge_width", 64), ("expansion", 4))
     head: int = 128
+    adaptive_uv: bool = True
+    linear_map: bool = True
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to a JSON-able dictionary."""
-        return {**asdict(self), "options": dict(self.options)}
+        """Convert to a JSON-able dictionary; without switches that are on."""
+        raw = {**asdict(self), "options": dict(self.options)}
+        return {name: value for name, value in raw.items() if value is not True}
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Architecture":
         """Convert from the result of :meth:`to_json`."""
         options = tuple(raw["options"].items())
-        return cls(raw["backbone"], raw["features"], options, raw.get("head", 128))
+        switches = {name: raw[name] for name in ("adaptive_uv", "linear_map") if name in raw}
+        return cls(raw["backbone"], raw["features"], options, raw.get("head", 128), **switches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +81,9 @@ class PUGeoNet(nn.Module):
         self.backbone = BACKBONES[self.architecture.backbone](
             features=features, **dict(self.architecture.options)
         )
-        self.frame = Frame(features)
+        self.frame = Frame(features, learned=self.architecture.linear_map)
         head = self.architecture.head
-        self.samples = Samples(features, head // 2)
+        self.samples = Samples(features, head // 2, learned=self.architecture.adaptive_uv)
         self.surface = Surface(features, head, head // 2)
 
     def forward(self, hoods: Neighbourhoods, quadric: Tensor, count: int) -> tuple[Charts, Tensor]:

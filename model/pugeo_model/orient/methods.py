@@ -20,13 +20,16 @@ METHODS = ("auto", "input", "viewpoint", "mst", "outward", "none")
 
 
 def resolve_method(
-    method: str, viewpoint: tuple[float, float, float] | None, *, has_normals: bool
+    method: str,
+    viewpoint: object,
+    *,
+    has_normals: bool,
 ) -> str:
     """Return the method that ``"auto"`` stands for; other methods are returned unchanged.
 
     Args:
         method: one of `METHODS`.
-        viewpoint: the position of the scanner, if given.
+        viewpoint: one or more positions of the scanner, or ``None``.
         has_normals: whether the input has usable normals.
 
     Raises:

@@ -43,7 +43,8 @@ class Weights:
             is added for outliers.
         coarse_normal: of the coarse normal ``T (0, 0, 1)``.
         refined_normal: of the final normal.
-        blended: of P2F and normals of blended charts.
+        blended: of P2F and normals of blended charts; the weight of the latter falls with
+            ``refined_normal`` below 1/6, so that without it no term supervises normals.
         confidence: of the regression of the log error of each chart.
         noise: a patch has the weight ``1 / (1 + noise * sigma / s)``, since the loss of noisy
             patches stays large and would dominate.
@@ -169,7 +170,11 @@ class JointLoss:
             + w.coarse_normal * parts["coarse_normal"]
             + w.refined_normal * parts["refined_normal"]
             + w.blended
-            * (parts["blended_p2f"] + parts["blended_normal"] / 6 + parts["chart_p2f"] / 2)
+            * (
+                parts["blended_p2f"]
+                + min(6 * w.refined_normal, 1.0) * parts["blended_normal"] / 6
+                + parts["chart_p2f"] / 2
+            )
             + w.confidence * (parts["confidence"] + parts["chart_confidence"])
         )
         return total, {name: float(part.detach()) for name, part in parts.items()}

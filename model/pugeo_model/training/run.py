@@ -3,8 +3,10 @@
 
 import csv
 import platform
+import signal
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import torch
 
 from pugeo_model import __version__
 from pugeo_model.training.corpus import Shape, content_hash, default_cache, load_shape, mesh_files
+from pugeo_model.training.patches.trainer import PatchTrainer
 from pugeo_model.training.trainer import Recipe, Trainer
 from pugeo_model.weights import save
 
@@ -59,7 +62,8 @@ def run(
         every: steps between checkpoints.
         tick: called after each step with the step and the last losses as text.
     """
-    trainer = Trainer(shapes, recipe, folder, validation)
+    kind = Trainer if recipe.patches is None else PatchTrainer
+    trainer = kind(shapes, recipe, folder, validation)
     losses = ""
 
     def write() -> None:
@@ -76,9 +80,24 @@ def run(
         losses = "  ".join(f"{key} {value:.4f}" for key, value in shown.items())
         write()
 
-    trainer.run(every, report, lambda step: tick(step, losses))
+    with _stopped_by_sigterm(trainer):
+        trainer.run(every, report, lambda step: tick(step, losses))
     # Also if no step was left, as after a change of the name.
     write()
+
+
+@contextmanager
+def _stopped_by_sigterm(trainer: Trainer) -> Iterator[None]:
+    """Let SIGTERM end the run after the current step, with a checkpoint."""
+
+    def stop(_signal: int, _frame: Any) -> None:
+        trainer.stopping = True
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> dict[str, Any]:
@@ -88,12 +107,13 @@ def model_card(trainer: Trainer, meshes: Path, name: str, recipe_name: str) -> d
     return {
         "name": name,
         "version": __version__,
-        "ratio_range": [1, 32],
+        "ratio_range": [1, 32 if recipe.patches is None else trainer.net.ratio],
         "parameters": sum(value.numel() for value in trainer.net.parameters()),
         "training": {
             "command": (
                 f"pugeo train {meshes.name} --out RUN --val VAL --recipe {Path(recipe_name).name}"
-                f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
+                + (f" --ratio {trainer.net.ratio}" if recipe.patches else "")
+                + f" --steps {recipe.steps} --seed {recipe.seed} --threads {recipe.threads}"
                 f" --name {name}" + (f" --start {Path(recipe.start).name}" if recipe.start else "")
             ),
             "recipe": recipe.to_json(),
@@ -136,10 +156,14 @@ def plot_curves(log: Path, picture: Path) -> None:
 
     with log.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    names = ("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal")
+    known = (
+        *("loss", "coverage", "p2f", "refined_normal", "blended_p2f", "blended_normal"),
+        *("chamfer", "coarse_normal", "repulsion"),
+    )
+    names = [name for name in known if name in rows[0]][:6]
     figure, axes = plt.subplots(2, 3, figsize=(12, 6), layout="constrained")
     steps = [int(row["step"]) for row in rows]
-    for axis, title in zip(axes.flat, names, strict=True):
+    for axis, title in zip(axes.flat, names, strict=False):
         for column, label in ((title, "training"), (f"val_{title}", "validation")):
             if column in rows[0]:
                 axis.plot(steps, [float(row[column]) for row in rows], label=label)

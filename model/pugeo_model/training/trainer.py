@@ -10,15 +10,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
 from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
-from pugeo_model.network.pugeo import Architecture, PUGeoNet
+from pugeo_model.network.build import build_network
+from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
 from pugeo_model.training.losses import JointLoss, Weights
 from pugeo_model.training.optimizer import Optimizer
+from pugeo_model.training.patches.settings import PatchSettings
 from pugeo_model.weights import start_from
 
 __all__ = ["Recipe", "Trainer", "learning_rate"]
@@ -42,6 +45,8 @@ class Recipe:
         threads: torch threads.
         start: weights to start from, a released name or a ``.safetensors`` file of this
             architecture; random if ``None``.
+        patches: settings of a network that upsamples whole patches; ``mix`` and ``weights`` are
+            not used then. ``None`` for networks that predict charts.
     """
 
     architecture: Architecture = field(default_factory=Architecture)
@@ -56,12 +61,17 @@ class Recipe:
     seed: int = 0
     threads: int = 1
     start: str | None = None
+    patches: PatchSettings | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON-able dictionary, for the model card."""
         raw = {**asdict(self), "architecture": self.architecture.to_json()}
         if self.start is None:
             del raw["start"]
+        if self.patches is None:
+            del raw["patches"]
+        else:
+            del raw["mix"], raw["weights"]
         return raw
 
 
@@ -89,6 +99,7 @@ class Trainer:
         net: the network.
         step: number of completed steps.
         hours: training time so far.
+        stopping: set it to end ``run`` after the current step, with a checkpoint.
     """
 
     def __init__(
@@ -104,10 +115,9 @@ class Trainer:
         torch.manual_seed(recipe.seed)
         self.recipe, self.folder = recipe, folder
         self.shapes, self.validation = shapes, validation or []
-        self.net = PUGeoNet(recipe.architecture)
-        self.optimizer = Optimizer(self.net, recipe.rate, recipe.decay)
-        self.loss = JointLoss(shapes, recipe.weights)
+        self._build()
         self.step = 0
+        self.stopping = False
         self.hours = 0.0
 
         folder.mkdir(parents=True, exist_ok=True)
@@ -115,6 +125,17 @@ class Trainer:
             self._resume()
         elif recipe.start is not None:
             start_from(self.net, recipe.start)
+
+    def _build(self) -> None:
+        """Create the network, its optimizer and its loss."""
+        self.net: Any = build_network(self.recipe.architecture)
+        self.optimizer = Optimizer(self.net, self.recipe.rate, self.recipe.decay)
+        self.loss: Any = JointLoss(self.shapes, self.recipe.weights)
+
+    def _batches(self) -> Dataset[Any]:
+        """Return the training batches by step."""
+        recipe = self.recipe
+        return Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
 
     @property
     def _checkpoint(self) -> Path:
@@ -134,9 +155,8 @@ class Trainer:
             tick: called after each step.
         """
         recipe = self.recipe
-        batches = Batches(self.shapes, recipe.mix, recipe.seed, recipe.steps)
         loader = DataLoader(
-            batches,
+            self._batches(),
             batch_size=None,
             sampler=range(self.step, recipe.steps),
             num_workers=1,
@@ -146,14 +166,14 @@ class Trainer:
         sums: dict[str, float] = {}
         start = time.monotonic()
         since = self.step
-        for count, samples in loader:
-            parts = self._train(count, samples)
+        for batch in loader:
+            parts = self._train(batch)
             for name, value in parts.items():
                 sums[name] = sums.get(name, 0.0) + value
             self.step += 1
             if tick:
                 tick(self.step)
-            if self.step % every == 0 or self.step == recipe.steps:
+            if self.step % every == 0 or self.step == recipe.steps or self.stopping:
                 self.hours += (time.monotonic() - start) / 3600
                 line = {name: value / (self.step - since) for name, value in sums.items()}
                 line |= self.validate()
@@ -163,6 +183,8 @@ class Trainer:
                 if report:
                     report(self.step, line)
                 sums, since, start = {}, self.step, time.monotonic()
+            if self.stopping:
+                break
 
     def validate(self, steps: int = 12) -> dict[str, float]:
         """Compute the loss on fixed patches of the validation shapes, clean and even input.
@@ -189,10 +211,16 @@ class Trainer:
         self.net.train()
         return sums
 
-    def _train(self, count: int, samples: list[Any]) -> dict[str, float]:
-        """Train one step; returns the loss, its terms and the norm of the gradient."""
+    def _losses(self, batch: Any) -> tuple[Tensor, dict[str, float]]:
+        """Compute the loss of a batch and its terms."""
+        count, samples = batch
         rng = np.random.default_rng([self.recipe.seed, self.step, 1])
         total, parts = self.loss(self.net, count, samples, rng)
+        return total, parts
+
+    def _train(self, batch: Any) -> dict[str, float]:
+        """Train one step; returns the loss, its terms and the norm of the gradient."""
+        total, parts = self._losses(batch)
         self.optimizer.zero_grad()
         total.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.recipe.clip)

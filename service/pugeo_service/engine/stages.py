@@ -11,7 +11,7 @@ import functools
 import io
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pugeo_service.engine.backend import quick
 from pugeo_service.engine.messages import DenseInfo, PreparedInfo, RunRequest
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pugeo_model.cloud import Cloud
-    from pugeo_model.network.model import Model
     from pugeo_model.options import Options
     from pugeo_model.plan import Plan
     from pugeo_model.resample.atlas import PatchCharts
@@ -53,7 +52,7 @@ __all__ = [
 
 
 @functools.lru_cache(maxsize=2)
-def load_model(name: str) -> Model:
+def load_model(name: str) -> Any:
     """Return the model called ``name``, loaded once for each process."""
     from pugeo_model import weights
 
@@ -82,7 +81,7 @@ def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
         cloud = formats.read(io.BytesIO(body.data), format=request.format, limits=limits)
         _check_output(cloud, options, request.max_output_points)
     with times.measure("prepare"):
-        plan = make_plan(cloud, options)
+        plan = make_plan(cloud, options, patch_ratio=load_model(request.model).patch_ratio)
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, request.answer)
     if len(plan.tile_specs) > 1:
         return Prepared(plan, None, times.seconds, by_rows)
@@ -117,11 +116,11 @@ def describe_prepared(prepared: Prepared, file: SharedFile | None = None) -> Pre
 
     plan, tile = prepared.plan, prepared.tile
     output = None if prepared.output is None else describe_output(prepared.output, file)
-    if plan is not None:
-        patches, tiles = plan.report["patches"], len(plan.tile_specs)
-    else:
-        assert tile is not None
+    if tile is not None:
         patches, tiles = len(tile.patches), 1
+    else:
+        assert plan is not None
+        patches, tiles = plan.report["patches"], len(plan.tile_specs)
     noisy = tile is not None and needs_denoising(tile)
     return PreparedInfo(patches, tiles, prepared.seconds, prepared.by_rows, output, noisy)
 

@@ -21,7 +21,6 @@ from tornado.ioloop import PeriodicCallback
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_service.engine import stages
 from pugeo_service.engine.backend import CORE, is_quick
-from pugeo_service.engine.scheduling import LARGE_PATCHES
 from pugeo_service.engine.self_test import self_test_body, self_test_request
 
 __all__ = ["dask_setup", "one_at_a_time", "run_stage", "warm"]
@@ -55,7 +54,8 @@ def run_stage(stage: Callable[..., T], seconds: float, *args: Any) -> T:
 def warm(model: str) -> None:
     """Load the model and upsample a small sphere, so that no user waits for it."""
     request = self_test_request(model, deadline_s=0.0)
-    prepared = stages.prepare(self_test_body(), replace(request, one_task_patches=LARGE_PATCHES))
+    # In one task, however many patches the network takes for it.
+    prepared = stages.prepare(self_test_body(), replace(request, one_task_patches=sys.maxsize))
     assert prepared.output is not None
 
 

@@ -14,8 +14,8 @@ __all__ = ["RequireKey", "is_open"]
 # Open without a key: probes, because an orchestrator should not need a client's key, and the
 # description of the API, which is public and says how to send a key. All other paths need a key,
 # including paths that do not exist.
-_OPEN = frozenset({"/health", "/health/live", "/health/ready", "/docs", "/openapi.json"})
-_OPEN_FOLDERS = ("/docs/",)
+_OPEN = frozenset({"/", "/health", "/health/live", "/health/ready", "/docs", "/openapi.json"})
+_OPEN_FOLDERS = ("/assets/", "/docs/")
 
 
 class RequireKey:

@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pugeo_model.formats import FORMATS
+from pugeo_model.formats import WRITABLE
 from pugeo_service.problems import ProblemError
 
 __all__ = ["DEFAULT", "OUTPUT_FORMATS", "OutputFormat", "choose_format", "negotiate"]
@@ -31,18 +31,18 @@ class OutputFormat:
 
 
 def _output_format(name: str) -> OutputFormat:
-    module = FORMATS[name]
+    module = WRITABLE[name]
     further: tuple[str, ...] = ()
     if name == "ply-ascii":
         # The media types of PLY with a parameter name the text form.
-        further = tuple(f"{kind};format=ascii" for kind in FORMATS["ply"].MEDIA_TYPES)
+        further = tuple(f"{kind};format=ascii" for kind in WRITABLE["ply"].MEDIA_TYPES)
     extension = (*module.EXTENSIONS, ".ply")[0].removeprefix(".")
     return OutputFormat(name, (*module.MEDIA_TYPES, *further), extension)
 
 
 # Binary PLY is first, as the choice for wildcards.
 OUTPUT_FORMATS: dict[str, OutputFormat] = {
-    name: _output_format(name) for name in sorted(FORMATS, key=lambda name: name != "ply")
+    name: _output_format(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
 }
 DEFAULT = OUTPUT_FORMATS["ply"]
 # Media ranges for which the default is chosen.

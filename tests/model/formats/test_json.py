@@ -53,16 +53,14 @@ def test_float_colors(parse: Parse) -> None:
         ('{"points": [[0,0,0],[0,0]]}', r"length 3.*\$\.points\[1\]"),
         ('{"points": [[0,0,0,0]]}', r"length 3.*\$\.points\[0\]"),
         ('{"points": [[0,0,"1"]]}', r"got `str`.*\$\.points\[0\]\[2\]"),
-        ('{"points": [[0,0,null]]}', r"got `null`.*\$\.points\[0\]\[2\]"),
-        ('{"points": [[0,0,NaN]]}', "invalid character"),
-        ('{"points": [[0,0,Infinity]]}', "invalid character"),
+        ('{"points": [[0,0,nan]]}', "invalid character"),
         ('{"points": [[0,0,1e999]]}', r"out of range.*"),
         ('{"points": [0,0,0]}', r"Expected `array`, got `int`.*\$\.points\[0\]"),
         ('{"points": null}', "Expected `array`, got `null`"),
         ('{"points": [[0,0,0]], "normals": []}', "'normals' has 0 rows, but 'points' has 1"),
         ('{"points": [[0,0,0]], "colors": [[0,0]]}', r"length >= 3.*\$\.colors\[0\]"),
         ('{"points": [[0,0,0],[1,1,1]], "colors": [[0,0,0],[0,0,0,0]]}', r"colors\[1\] has 4"),
-        ('{"points": [[0,0,0]], "colors": [[0,0,256]]}', r"colors\[0\]: whole numbers"),
+        ('{"points": [[0,0,0]], "colors": [[0,0,65536]]}', r"colors\[0\]: whole numbers"),
         ('{"points": [[0,0,0]], "colors": [[0,-1,0]]}', r"colors\[0\]: whole numbers"),
         (
             '{"points": [[0,0,0]], "colors": [[0,1000000000000000000000000,0]]}',
@@ -79,6 +77,27 @@ def test_bad_documents(parse: Parse, document: str, match: str) -> None:
     """Everything that is wrong is refused with the key and the row."""
     with pytest.raises(MalformedFileError, match=match):
         parse(document.encode())
+
+
+def test_missing_values(parse: Parse) -> None:
+    """null, NaN and Infinity are missing values in points, normals and scalars alike."""
+    cloud = parse(
+        b'{"points": [[0, 0, null], [1, NaN, 2]], "normals": [[0, 0, 1], [null, 0, 1]],'
+        b' "scalars": {"depth": [ -Infinity , 0.5], "a, NaN ]": [1, 2]}}'
+    )
+    np.testing.assert_array_equal(cloud.points, [[0, 0, np.nan], [1, np.nan, 2]])
+    assert cloud.normals is not None
+    assert np.isnan(cloud.normals[1, 0])
+    np.testing.assert_array_equal(cloud.scalars["depth"], [np.nan, 0.5])
+
+
+def test_colors_of_16_bits(parse: Parse, dump: Dump) -> None:
+    """Whole numbers above 255 are colours of 16 bits, and stay so when written and read."""
+    cloud = parse(b'{"points": [[0,0,0],[1,1,1]], "colors": [[0, 256, 65535], [1, 2, 3]]}')
+    assert cloud.colors is not None
+    assert cloud.colors.dtype == np.uint16
+    back = parse(dump(cloud, "json"))
+    np.testing.assert_array_equal(back.colors, cloud.colors)
 
 
 def test_not_utf8(parse: Parse) -> None:

@@ -97,9 +97,9 @@ def test_too_many_header_lines(parse: Parse) -> None:
         (["element vertex 1", *XYZ, "property list uchar v"], "cannot understand"),
         (XYZ, "line 3: cannot understand"),
         (["format ascii 1.0", "element vertex 1", *XYZ], "cannot understand"),
-        (["element vertex 1", *XYZ[:2]], "no property z"),
+        (["element vertex 1", *XYZ[:2]], "no column z"),
         (["element face 1", *XYZ], "no element 'vertex'"),
-        (["element vertex 1", *XYZ[:2], "property list uchar float z"], "no property z"),
+        (["element vertex 1", *XYZ[:2], "property list uchar float z"], "no column z"),
     ],
 )
 def test_bad_headers(parse: Parse, lines: list[str], match: str) -> None:
@@ -138,7 +138,7 @@ def test_incomplete_headers(parse: Parse, data: bytes, match: str) -> None:
     ],
 )
 def test_bad_text(parse: Parse, body: bytes, match: str) -> None:
-    """What is wrong in a text body is told by its line in the file."""
+    """A fault in a text body is reported with its line in the file."""
     with pytest.raises(MalformedFileError, match=match):
         parse(ply(["element vertex 3", *XYZ], body, TEXT))
 

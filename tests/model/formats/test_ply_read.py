@@ -205,23 +205,26 @@ def test_comment_with_odd_line_separators(parse: Parse) -> None:
             [9, 8, 7],
         ),
         (["uchar r", "uchar g", "uchar b", "uchar a"], "u1", [1, 2, 3, 4], [1, 2, 3, 4]),
-        (["ushort red", "ushort green", "ushort blue"], "<u2", [0, 257, 65535], [0, 1, 255]),
+        (["ushort red", "ushort green", "ushort blue"], "<u2", [0, 257, 65535], [0, 257, 65535]),
         (["ushort red", "ushort green", "ushort blue"], "<u2", [0, 9, 255], [0, 9, 255]),
         (["float red", "float green", "float blue"], "<f4", [0, 0.5, 1], [0, 128, 255]),
         (["float red", "float green", "float blue"], "<f4", [0, 9, 255], [0, 9, 255]),
+        (["float red", "float green", "float blue"], "<f4", [0, 0.5, 1.04], [0, 128, 255]),
+        (["float rgb"], "<u4", [0x000A141E], [10, 20, 30]),
+        (["uint rgba"], "<u4", [0xFF0A141E], [10, 20, 30]),
         (["double r", "double g", "double b"], "<f8", [np.nan, -1, 0.2], [0, 0, 51]),
     ],
 )
 def test_colors(
     parse: Parse, lines: list[str], dtype: str, row: list[float], expected: list[int]
 ) -> None:
-    """Colours come out as bytes, whatever their names and types."""
+    """Colours come out as 8 or 16 bits, whatever their names and types."""
     header = ["element vertex 1", *XYZ, *(f"property {line}" for line in lines)]
     cloud = parse(ply(header, ROWS[0].tobytes() + np.array(row, dtype).tobytes()))
     assert cloud.colors is not None
     assert cloud.colors.tolist() == [expected]
     assert cloud.scalars == {}
-    guessed = dtype in ("<u2", "<f4") and max(row) not in (1, 65535)
+    guessed = dtype in ("<u2", "<f4", "<u4") and max(row) not in (1, 65535)
     assert len(cloud.notes) == guessed
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pugeo_model import Cloud, pipeline
+from pugeo_model import Cloud
 from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats import read, write
 from pugeo_model.options import Options
+from pugeo_model.plan import make_plan
 
 Parse = Callable[..., Cloud]
 LITTLE, BIG, TEXT = "binary_little_endian", "binary_big_endian", "ascii"
@@ -45,7 +46,7 @@ def _words(row: Sequence[Any]) -> str:
 
 @dataclass(frozen=True)
 class Habit:
-    """How a program writes, and what must be understood.
+    """The file of a program, and the cloud that must be read from it.
 
     Attributes:
         kind: encoding of the body.
@@ -231,7 +232,7 @@ HABITS: dict[str, Habit] = {
             )
         ],
         UTM,
-        colors=[[0, 1, 255], [2, 0, 0]],
+        colors=[[0, 257, 65535], [514, 0, 0]],
         scalars={"classification": ("u1", [2, 6])},
         end="\r\n",
     ),
@@ -282,7 +283,7 @@ def test_habits(parse: Parse, name: str) -> None:
 
 @pytest.mark.parametrize("name", list(HABITS))
 def test_habits_survive_a_round_trip(parse: Parse, name: str) -> None:
-    """What was read is written as binary PLY with its types, and reads back the same."""
+    """A cloud that was read is written as binary PLY with its types, and reads back the same."""
     cloud = parse(HABITS[name].file())
     buffer = io.BytesIO()
     write(cloud, buffer, format="ply")
@@ -315,7 +316,7 @@ def test_points_that_are_missing_in_text(spelling: str) -> None:
 
 
 def test_notes_reach_the_report(parse: Parse) -> None:
-    """What the reader dropped is still told when the dense cloud leaves."""
+    """Notes of the reader stand in the report of the dense cloud."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(60, 3)).astype(np.float32)
     habit = Habit(
@@ -323,5 +324,5 @@ def test_notes_reach_the_report(parse: Parse) -> None:
         [("vertex", XYZ, points.tolist()), ("face", ["list uchar int vertex_indices"], [[[0]]])],
         points,
     )
-    plan = pipeline.make_plan(parse(habit.file()), Options(ratio=2.0))
+    plan = make_plan(parse(habit.file()), Options(ratio=2.0))
     assert any("faces are dropped" in note for note in plan.report["notes"])

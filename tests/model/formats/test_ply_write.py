@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What our PLY writer writes, read back by us and by plyfile."""
+"""Files of our PLY writer, read back by us and by plyfile."""
 
 import io
 from collections.abc import Callable

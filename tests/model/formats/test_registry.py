@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding the format, paths and streams, and what every reader owes to hostile bytes."""
+"""Finding the format, paths and streams, and hostile bytes for every reader."""
 
 import contextlib
 import io
@@ -8,6 +8,7 @@ import stat
 import tempfile
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,16 @@ from pugeo_model import (
     MalformedFileError,
     UnsupportedFormatError,
 )
-from pugeo_model.formats import FORMATS, Limits, detect, read, write
+from pugeo_model.formats import (
+    FORMATS,
+    WRITABLE,
+    Limits,
+    detect,
+    dropped,
+    output_format,
+    read,
+    write,
+)
 
 Dump = Callable[[Cloud, str], bytes]
 
@@ -30,7 +40,11 @@ Dump = Callable[[Cloud, str], bytes]
 def test_names() -> None:
     """The registry has the promised names, and every extension belongs to one format."""
     names = sorted(FORMATS)
-    assert names == ["json", "npy", "npz", "ply", "ply-ascii", "xyz"]
+    assert names == [
+        *("e57", "json", "las", "laz", "npy", "npz", "obj", "pcd", "ply", "ply-ascii", "ptx"),
+        *("stl", "xyz"),
+    ]
+    assert set(FORMATS) - set(WRITABLE) == {"obj", "stl"}
     for key, module in FORMATS.items():
         assert key == module.NAME
         assert module.MEDIA_TYPES
@@ -39,9 +53,9 @@ def test_names() -> None:
     assert all(ending == ending.lower() and ending[0] == "." for ending in endings)
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize("name", sorted(WRITABLE))
 def test_content_is_recognised(name: str, rich: Cloud, dump: Dump) -> None:
-    """What a writer writes is recognised by its content, and the file does not move."""
+    """A written file is recognised by its content, and the file does not move."""
     file = io.BytesIO(dump(rich, name))
     assert detect(file) == name
     assert file.tell() == 0
@@ -49,7 +63,7 @@ def test_content_is_recognised(name: str, rich: Cloud, dump: Dump) -> None:
     assert detect(file, name="wrong.npz") == name
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize("name", sorted(WRITABLE))
 def test_kinds_of_files(name: str, rich: Cloud, dump: Dump, tmp_path: Path) -> None:
     """Paths, text paths, real, spooled and in-memory files, and pipes all read the same."""
     data = dump(rich, name)
@@ -73,7 +87,7 @@ def test_kinds_of_files(name: str, rich: Cloud, dump: Dump, tmp_path: Path) -> N
         feeder = threading.Thread(target=feed)
         feeder.start()
         for source in (path, str(path), real, small, large, io.BytesIO(data), pipe):
-            np.testing.assert_array_equal(read(source).points.astype(np.float32), rich.points)
+            np.testing.assert_allclose(read(source).points, rich.points, atol=6e-7)
         feeder.join()
 
 
@@ -102,16 +116,20 @@ def test_unknown_content(tmp_path: Path) -> None:
     for data in (b"\x89PNG\r\n\x1a\n", b"hello world this\n", b"\x00" * 100, b"[[1,2,3]]"):
         with pytest.raises(UnsupportedFormatError, match="Readable are ply-ascii, ply"):
             read(io.BytesIO(data))
-    with pytest.raises(UnsupportedFormatError, match="no format 'las'"):
-        read(io.BytesIO(b"x"), format="las")
+    with pytest.raises(UnsupportedFormatError, match="no format 'dxf'"):
+        read(io.BytesIO(b"x"), format="dxf")
     with pytest.raises(UnsupportedFormatError, match="extension"):
-        write(Cloud(np.zeros((1, 3))), tmp_path / "cloud.las")
+        write(Cloud(np.zeros((1, 3))), tmp_path / "cloud.dxf")
+    with pytest.raises(UnsupportedFormatError, match="extension"):
+        write(Cloud(np.zeros((1, 3))), tmp_path / "cloud.obj")
+    with pytest.raises(UnsupportedFormatError, match="is read only"):
+        write(Cloud(np.zeros((1, 3))), io.BytesIO(), format="stl")
     with pytest.raises(MalformedFileError, match="empty"):
         read(io.BytesIO())
 
 
 def test_extension_decides_last(tmp_path: Path) -> None:
-    """Where the content says nothing the name does, and that reader says what is wrong."""
+    """The extension decides for unknown content, and its reader names the fault."""
     path = tmp_path / "cloud.PLY"
     path.write_bytes(b"not a ply file")
     with pytest.raises(MalformedFileError, match="'ply'"):
@@ -127,7 +145,9 @@ def test_format_of_a_path(rich: Cloud, tmp_path: Path) -> None:
         ("a.ply", None, "ply"),
         ("a", None, "ply"),
         ("b.ply", "ply-ascii", "ply-ascii"),
-        ("b.las", "npz", "npz"),
+        ("b.dxf", "npz", "npz"),
+        ("a.laz", None, "laz"),
+        ("a.pcd", None, "pcd"),
     ):
         write(rich, tmp_path / name, format=asked)
         with (tmp_path / name).open("rb") as file:
@@ -174,7 +194,35 @@ def test_missing_paths(rich: Cloud, tmp_path: Path) -> None:
         write(rich, tmp_path / "none" / "cloud.ply")
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_output_format() -> None:
+    """An answer has its input's format, or PLY where that is read only or there is no file."""
+    assert [output_format(name) for name in (None, "stl", "obj", "laz", "ply-ascii", "xyz")] == [
+        *("ply", "ply", "ply", "laz", "ply-ascii", "xyz")
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(WRITABLE))
+def test_nothing_is_dropped_silently(name: str, rich: Cloud, dump: Dump) -> None:
+    """Every attribute comes back, or the note on dropped attributes names it."""
+    assert rich.normals is not None
+    assert rich.colors is not None
+    lengths = np.linalg.norm(rich.normals, axis=1, keepdims=True)
+    rich = replace(rich, normals=(rich.normals / lengths).astype(np.float32))
+    back = read(io.BytesIO(dump(rich, name)))
+    note = dropped(rich, name) or ""
+    assert back.source is not None
+    assert back.source.format == name
+    assert (back.normals is not None) == ("normals" not in note)
+    assert back.colors is not None
+    assert (back.colors.shape[1] == 4) == ("alpha" not in note)
+    for scalar in rich.scalars:
+        plain = scalar.lower().removeprefix("scalar_")
+        known = {"class": "classification", "time": "gps_time"}
+        names = {each.lower().removeprefix("scalar_") for each in back.scalars}
+        assert scalar in note or plain in names or known.get(plain) in names, scalar
+
+
+@pytest.mark.parametrize("name", sorted(WRITABLE))
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_hostile_bytes(name: str, data: st.DataObject) -> None:

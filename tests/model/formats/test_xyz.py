@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text without a header: what is read, what is guessed, what is refused."""
+"""Text: layouts that are read, meanings that are guessed, faults that are refused."""
 
 from collections.abc import Callable
 
@@ -131,7 +131,7 @@ def test_many_blocks_and_comments(parse: Parse) -> None:
 
 
 def test_round_trip(rich: Cloud, parse: Parse, dump: Dump) -> None:
-    """What is written with names comes back with names."""
+    """Named columns come back with their names."""
     back = parse(dump(rich, "xyz"))
     np.testing.assert_array_equal(back.points.astype(np.float32), rich.points)
     assert back.normals is not None

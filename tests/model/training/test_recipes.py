@@ -6,7 +6,7 @@ import json
 import pytest
 
 from pugeo_model.errors import BadOptionError
-from pugeo_model.network.pugeo import PUGeoNet
+from pugeo_model.network.build import build_network
 from pugeo_model.training.recipes import available_recipes, read_recipe
 from pugeo_model.training.trainer import Recipe
 from pugeo_model.weights import available, read_card
@@ -16,7 +16,8 @@ from pugeo_model.weights import available, read_card
 def test_recipes_of_released_weights(name):
     """Each recipe defines a network and equals the recipe in the card of the weights."""
     recipe = read_recipe(name)
-    assert recipe.to_json()["architecture"] == PUGeoNet(recipe.architecture).architecture.to_json()
+    net = build_network(recipe.architecture)
+    assert recipe.to_json()["architecture"] == net.architecture.to_json()
     if name in available():
         trained = read_card(name)["training"]["recipe"]
         assert json.dumps(trained) == json.dumps(recipe.to_json())

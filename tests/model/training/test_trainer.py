@@ -29,7 +29,7 @@ def test_the_loss_falls(shapes, small, tmp_path):
     batches = Batches(shapes, Mix(), 0, 40)
     losses = []
     for trainer.step in range(40):
-        losses.append(trainer._train(*batches[trainer.step % 4])["loss"])
+        losses.append(trainer._train(batches[trainer.step % 4])["loss"])
     assert np.mean(losses[-4:]) < 0.8 * np.mean(losses[:4])
 
 
@@ -45,7 +45,7 @@ def test_a_gradient_that_is_not_finite_changes_nothing(shapes, small, tmp_path, 
         return total * float("nan"), parts
 
     monkeypatch.setattr(trainer, "loss", not_finite)
-    assert not np.isfinite(trainer._train(*batch)["gradient"])
+    assert not np.isfinite(trainer._train(batch)["gradient"])
     for name, value in trainer.net.state_dict().items():
         torch.testing.assert_close(value, before[name])
 

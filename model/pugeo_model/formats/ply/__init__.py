@@ -38,7 +38,7 @@ _MAC_LINES = bytes.maketrans(b"\r", b"\n")
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file with these first bytes is a PLY file."""
+    """True if a file with these first bytes is a PLY file."""
     return re.match(rb"ply[ \t]*[\r\n]", head) is not None
 
 
@@ -95,7 +95,7 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 
 def head(cloud: Cloud, count: int) -> bytes:
-    """What comes before the rows of ``count`` points like those of the cloud."""
+    """Bytes before the rows of ``count`` points with the attributes of ``cloud``."""
     return header(cloud, count=count)
 
 

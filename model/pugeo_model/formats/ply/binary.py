@@ -23,7 +23,7 @@ def read_rows(file: IO[bytes], element: Element, order: str, sinks: Sinks) -> No
 
     Args:
         file: at the first byte of the element.
-        element: what a row consists of, and how many there are.
+        element: the properties of a row, and the number of rows.
         order: ``"<"`` or ``">"``.
         sinks: property name -> ``(element.count,)`` array. Empty: the rows are passed over.
 
@@ -69,7 +69,7 @@ def _check_size(file: IO[bytes], element: Element, stride: int) -> None:
 
 
 def truncated(element: Element, expected: int, found: int, rows: int) -> MalformedFileError:
-    """Say how much of an element is missing (bytes, and complete rows found)."""
+    """Build the error about missing bytes or rows of an element."""
     return MalformedFileError(
         f"The file ends too early: {element.count:,} rows of {element.name!r} take at least "
         f"{expected:,} bytes, found {found:,} bytes ({rows:,} complete rows).",

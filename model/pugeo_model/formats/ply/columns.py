@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which property of a PLY vertex becomes what of a cloud."""
+"""Named columns of a file, such as the properties of PLY vertices, as parts of a cloud."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import MalformedFileError
-from pugeo_model.formats.colors import to_uint8
+from pugeo_model.formats.colors import to_channels, unpack_rgb
 from pugeo_model.formats.ply.header import Element
 
 __all__ = ["VertexColumns"]
@@ -21,34 +21,37 @@ _COLORS = (
     ("r", "g", "b"),
 )
 _ALPHAS = (("alpha",), ("diffuse_alpha", "alpha"), ("a", "alpha"))
+_PACKED = ("rgb", "rgba")
 _SPLAT = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
 
 
 class VertexColumns:
-    """Arrays for the vertices of a file, to be filled by whoever reads its body.
+    """Arrays for the vertices of a file, to be filled by the reader of its body.
 
     Args:
         element: the ``vertex`` element. Its rows must be known to be in the file: arrays of
             ``element.count`` rows are allocated here.
+        label: the format's name, for messages.
 
     Attributes:
         sinks: property name -> ``(count,)`` writable array or view. Properties that are not in
             it are not wanted.
-        notes: what was dropped or guessed.
+        notes: sentences about everything that was dropped or guessed.
 
     Raises:
         MalformedFileError: no ``x``, ``y``, ``z``.
     """
 
-    def __init__(self, element: Element) -> None:
+    def __init__(self, element: Element, label: str = "PLY") -> None:
         types = {each.name: each.type for each in element.properties if each.count_type is None}
         missing = [name for name in _POINTS if name not in types]
         if missing:
             raise MalformedFileError(
-                f"The PLY vertices have no property {', '.join(missing)}.",
+                f"The {label} points have no column {', '.join(missing)}.",
                 code="missing_property",
                 missing=missing,
             )
+        self._label = label
         self.notes: list[str] = []
         self.sinks: dict[str, NDArray[Any]] = {}
         count = element.count
@@ -92,12 +95,31 @@ class VertexColumns:
 
     def cloud(self) -> Cloud:
         """Build the cloud, once all sinks are filled."""
-        colors: NDArray[np.uint8] | None = None
-        if self._colors is not None:
-            colors, note = to_uint8(self._colors)
-            if note is not None:
-                self.notes.append(note)
-            if self._alpha is not None:
-                alpha, _ = to_uint8(self._alpha)
-                colors = np.column_stack([colors, alpha])
+        colors = self._final_colors()
         return Cloud(self._points, self._normals, colors, self._scalars, tuple(self.notes))
+
+    def _final_colors(self) -> NDArray[Any] | None:
+        """Bring colours and alpha to 8 or 16 bits, or unpack them from one column."""
+        if self._colors is None:
+            for name in _PACKED:
+                if name in self._scalars:
+                    colors = unpack_rgb(self._scalars[name])
+                    if colors is not None:
+                        del self._scalars[name]
+                        if self._label != "PCD":  # there it is the rule
+                            note = f"Column {name!r} was unpacked into red, green, blue."
+                            self.notes.append(note)
+                        return colors
+            return None
+        channels, guessed = to_channels(self._colors)
+        if guessed is not None:
+            self.notes.append(guessed)
+        if self._alpha is None:
+            return channels
+        alpha, _ = to_channels(self._alpha)
+        if alpha.dtype == channels.dtype:
+            return np.column_stack([channels, alpha])
+        # 65535 / 255 = 257: the same share of the range in 16 bits.
+        parts: list[NDArray[Any]] = [channels, alpha]
+        wide = [p * np.uint16(257) if p.dtype == np.uint8 else p for p in parts]
+        return np.column_stack(wide)

@@ -36,6 +36,7 @@ RESERVED = frozenset(
         *_COLORS,
         *(f"diffuse_{name}" for name in _COLORS),
         *"rgba",
+        *("rgb", "rgba"),
     ]
 )
 
@@ -98,7 +99,8 @@ def columns(cloud: Cloud) -> list[Column]:
     if cloud.normals is not None:
         found += [Column(n, "f4", v) for n, v in zip(_NORMALS, cloud.normals.T, strict=True)]
     if cloud.colors is not None:
-        found += [Column(n, "u1", v) for n, v in zip(_COLORS, cloud.colors.T, strict=False)]
+        kind = _type_of(cloud.colors)
+        found += [Column(n, kind, v) for n, v in zip(_COLORS, cloud.colors.T, strict=False)]
     taken = set(RESERVED)
     for name, values in cloud.scalars.items():
         written = _free_name(name, taken)

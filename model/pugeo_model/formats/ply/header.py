@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The header of a PLY file: what is in it, in which order, in which types."""
+"""The header of a PLY file: elements, their properties and types, byte order."""
 
 import re
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows may differ in size."""
+        """True if rows may differ in size."""
         return any(each.count_type for each in self.properties)
 
     @property
@@ -101,7 +101,7 @@ def read_header(file: IO[bytes], limits: Limits) -> Header:
         limits: ``max_header_bytes``, ``max_header_lines`` and ``max_points`` are checked.
 
     Raises:
-        MalformedFileError: not a PLY header, a line that makes no sense, a name met twice.
+        MalformedFileError: not a PLY header, a line that cannot be parsed, a name declared twice.
         LimitExceededError: too long a header, or too many points.
     """
     start = file.tell()

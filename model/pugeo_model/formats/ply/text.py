@@ -22,7 +22,7 @@ def read_rows(lines: NumberLines, element: Element, sinks: Mapping[str, NDArray[
 
     Args:
         lines: at the element's first line; left after its last one.
-        element: what a line consists of, and how many there are.
+        element: the properties of a line, and the number of lines.
         sinks: property name -> ``(element.count,)`` array. Empty: the lines are passed over.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding rows of different sizes: the only step of reading that must look at row after row."""
+"""Offsets of rows of different sizes, found row by row by a compiled loop."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -27,15 +27,18 @@ class Recalibration(nn.Module):
     Args:
         scales: number of scales.
         width: channels of each.
+        learned: learn the weights; all are 1 otherwise (ablation of Table 3).
     """
 
-    def __init__(self, scales: int, width: int) -> None:
+    def __init__(self, scales: int, width: int, *, learned: bool = True) -> None:
         super().__init__()
         self.scales = scales
-        self.logits = Linear(scales * width, scales)
+        self.logits = Linear(scales * width, scales) if learned else None
 
     def forward(self, features: Tensor) -> Tensor:
         """Multiply each scale by its weight, of mean 1; ``(n, scales * width)`` -> the same."""
+        if self.logits is None:
+            return features
         weights = functional.softmax(self.logits(features).float(), dim=-1) * self.scales
         parts: Tensor = features.unflatten(-1, (self.scales, -1)) * weights.unsqueeze(-1).to(
             features.dtype
@@ -49,13 +52,14 @@ class Neighbours(nn.Module):
     Args:
         width: channels of the MLP.
         out: channels of the result.
+        recalibrate: weight the scales.
     """
 
-    def __init__(self, width: int, out: int) -> None:
+    def __init__(self, width: int, out: int, *, recalibrate: bool) -> None:
         super().__init__()
         self.first = Rectified(EDGE, width)
         self.second = Rectified(width, width)
-        self.recalibration = Recalibration(len(_SCALES) + 1, width)
+        self.recalibration = Recalibration(len(_SCALES) + 1, width, learned=recalibrate)
         self.out = Rectified((len(_SCALES) + 1) * width + SCALARS, out)
 
     def forward(self, edges: Tensor, scalars: Tensor) -> Tensor:
@@ -119,13 +123,19 @@ class ChartsBackbone(nn.Module):
     """
 
     def __init__(
-        self, width: int = 128, edge_width: int = 64, features: int = 256, expansion: int = 0
+        self,
+        width: int = 128,
+        edge_width: int = 64,
+        features: int = 256,
+        expansion: int = 0,
+        *,
+        recalibrate: bool = True,
     ) -> None:
         super().__init__()
-        self.neighbours = Neighbours(edge_width, width)
+        self.neighbours = Neighbours(edge_width, width, recalibrate=recalibrate)
         self.norm = nn.LayerNorm(width)
         self.messages = nn.ModuleList(Messages(width, expansion) for _ in MESSAGES)
-        self.recalibration = Recalibration(len(MESSAGES) + 1, width)
+        self.recalibration = Recalibration(len(MESSAGES) + 1, width, learned=recalibrate)
         self.out = Rectified((len(MESSAGES) + 1) * width, features)
 
     def forward(self, hoods: Neighbourhoods) -> Tensor:
