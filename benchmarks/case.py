@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a case is, and what is measured of it; both travel between processes as JSON."""
+"""A case and its figures; both travel between processes as JSON."""
 
 import json
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How good a dense cloud is; a fast method that misses the surface is not fast.
+    """Accuracy of a dense cloud: a fast method that misses the surface is not fast.
 
     Attributes:
         distance: mean distance to the true surface, in percent of the input's spacing.
@@ -57,7 +57,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Work:
-    """What the network does for a chart, of which every input point has one.
+    """Work of the network for each chart; every input point has one.
 
     Attributes:
         charts: charts of the cloud, those of the margins of tiles included.
@@ -72,13 +72,13 @@ class Work:
     kind: str
 
     def seconds(self, gflops: Mapping[str, float]) -> float:
-        """What the products for a chart would take at the rate of their data type."""
+        """Seconds that the products for a chart take at the rate of their data type."""
         return self.flops / (1e9 * gflops[self.kind])
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What one case gave.
+    """Figures of one case.
 
     Attributes:
         case: the case.

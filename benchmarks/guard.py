@@ -37,7 +37,7 @@ _SIZES = range(601, 641, 5)
 
 @dataclass(frozen=True)
 class Ratios:
-    """What is compared.
+    """The ratios that are compared.
 
     Attributes:
         linearity: output points a second at 16,000 input points, over that at 4,000.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much work the network does for a chart: what its time is held against.
+"""Work of the network for a chart, as the yardstick of its time.
 
 Counted while the network runs on the patches that the pipeline cuts, without the rows that only
 fill a patch up (see ``pugeo_model.network.neighbourhoods``): those are time without use, so they

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How time and memory grow with the cloud: ``python -m benchmarks.scale [--points N ...]``.
+"""Growth of time and memory with the cloud: ``python -m benchmarks.scale [--points N ...]``.
 
 Bytes to bytes on one core, each size in a process of its own. The slope is that of the logarithm of
 processor time over that of points: 1 is linear.

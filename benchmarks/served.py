@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service takes and gives: ``python -m benchmarks.served [--points N] [--ratio R]``.
+"""Speed and memory of a service: ``python -m benchmarks.served [--points N] [--ratio R]``.
 
 ``--workers 2`` leaves out the service of one worker; ``--rounds 3`` measures three times, in turn,
 and shows medians: a machine is not as fast at one time as at another.
@@ -40,7 +40,7 @@ _PATIENCE_S = 3600.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What one service did.
+    """Figures of one service.
 
     Attributes:
         ready: seconds from its start.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast this core multiplies matrices: what a figure from another machine is divided by."""
+"""Rate of matrix products on this core, by which figures of other machines are divided."""
 
 import math
 import time

@@ -33,7 +33,7 @@ _ORPHAN_S = 30.0
 
 @dataclass
 class _Account:
-    """What was done to the service, and what it did.
+    """Faults that were injected, and the reaction of the service.
 
     Attributes:
         kills: by kind.

@@ -30,7 +30,7 @@ _GROWTH_BYTES = 64 << 20
 
 @dataclass
 class _Total:
-    """What all processes gave."""
+    """Findings of all processes."""
 
     outcomes: Counter[str] = field(default_factory=Counter)
     findings: list[dict[str, Any]] = field(default_factory=list)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arrives at a port that is open to anybody: one coroutine for each kind of mischief.
+"""Attacks on an open port: one coroutine for each kind.
 
 Each sends its part and returns the status lines that came back, ``()`` where the service hung up.
 """
@@ -132,7 +132,7 @@ async def pipeline(address: Address, rng: random.Random) -> tuple[int, ...]:
 
 
 async def garbage(address: Address, rng: random.Random) -> tuple[int, ...]:
-    """What is no HTTP/1.1, or is it in an unheard-of way."""
+    """Send bytes that are not HTTP/1.1, or unusual HTTP/1.1."""
     body = b"ply\n"
     return await _said(
         address,

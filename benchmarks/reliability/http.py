@@ -46,7 +46,7 @@ negative_data_rejection.enabled = false
 
 @dataclass
 class _Siege:
-    """What happened while the service was under attack."""
+    """Events while the service was under attack."""
 
     statuses: Counter[str] = field(default_factory=Counter)
     held: dict[str, list[float]] = field(default_factory=dict)

@@ -31,7 +31,7 @@ _LATE_S = 900.0
 
 @dataclass
 class _Tally:
-    """What came back."""
+    """Answers under load."""
 
     statuses: Counter[str] = field(default_factory=Counter)
     seconds: dict[int, list[float]] = field(default_factory=dict)

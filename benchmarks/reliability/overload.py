@@ -29,7 +29,7 @@ _REFUSALS = (429, 503)
 
 @dataclass
 class _Storm:
-    """What came back while more was asked than could be done."""
+    """Answers while more was asked than the service can do."""
 
     accepted: list[float] = field(default_factory=list)
     refused: list[float] = field(default_factory=list)

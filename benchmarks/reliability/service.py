@@ -22,7 +22,7 @@ _PROBE_S = 0.5
 
 @dataclass(frozen=True)
 class Reply:
-    """What came back of one request.
+    """The answer to one request.
 
     Attributes:
         status: HTTP status, or 0 where the connection broke.

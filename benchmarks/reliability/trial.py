@@ -56,7 +56,7 @@ class Input:
 
 @dataclass
 class Trial:
-    """What many inputs gave.
+    """Results of many inputs.
 
     Attributes:
         start: number of the first input.

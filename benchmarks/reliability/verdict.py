@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every harness ends with: a table to read, a file for programs, and a status."""
+"""The end of every harness: a table to read, a file for programs, and a status."""
 
 import json
 import sys

@@ -23,7 +23,7 @@ _STEP = 0.25  # of the differences, in spacings: a quarter of the way to a neigh
 
 @dataclass(frozen=True, eq=False)
 class LocalSurfaces:
-    """What a network says of the surface around ``n`` points, in the unit of the cloud.
+    """The predicted surface around ``n`` points, in the unit of the cloud.
 
     Attributes:
         rows: ``(n,)`` int32 rows of the cloud.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What training costs: quality over hours, and how long the paper's own schedule would take."""
+"""The cost of training: quality over hours, and the hours of the paper's own schedule."""
 
 import csv
 from collections.abc import Mapping

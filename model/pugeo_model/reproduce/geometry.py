@@ -24,7 +24,7 @@ _EDGE = 2.0  # spacings from an edge within which a point of the cube counts as 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What was found on one solid, pooled over all points.
+    """Measurements on one solid, pooled over all points.
 
     Attributes:
         name: of the solid.
@@ -50,7 +50,7 @@ class Findings:
     near_edge: NDArray[np.bool_]
 
     def numbers(self) -> dict[str, float]:
-        """What the text of the figure says."""
+        """The numbers that the text of the figure reports."""
         inner = ~self.near_edge
         displacement = np.abs(self.displacement).reshape(len(inner), -1)
         return {

@@ -23,7 +23,7 @@ _POINTS = 5000  # M of Tables 1 to 3
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What is measured on.
+    """The inputs and shapes of the measurement.
 
     Attributes:
         shapes: true surfaces.

@@ -150,7 +150,7 @@ class Reproduction:
         return self._table(tables.ablation(self._store, self._folder))
 
     def _budget(self) -> list[str]:
-        """What training took, and its curves at R = 4 where runs have logs."""
+        """The time of training, and its curves at R = 4 where runs have logs."""
         parts, logs = [], {}
         for recipe in ("paper", "pu_net", "mpu"):
             which = Trained(recipe, RATIOS[0])

@@ -17,7 +17,7 @@ __all__ = ["stored", "stored_path"]
 
 
 def stored_path(folder: Path, cloud: Cloud) -> Path:
-    """Where the dense cloud of an input lies."""
+    """Path of the dense cloud of an input."""
     digest = hashlib.sha256(np.ascontiguousarray(cloud.points, dtype=np.float64).tobytes())
     return folder / f"{digest.hexdigest()[:16]}.ply"
 

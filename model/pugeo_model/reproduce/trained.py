@@ -48,7 +48,7 @@ class Trained:
         return self.recipe if self.ratio is None else f"{self.recipe}_x{self.ratio}"
 
     def weights(self, folder: Path) -> Path:
-        """Where its weights are: ``FOLDER/NAME/NAME.safetensors``, the folder of its run."""
+        """Path of its weights: ``FOLDER/NAME/NAME.safetensors``, in the folder of its run."""
         return folder / self.name / f"{self.name}.safetensors"
 
     def command(self, folder: Path, steps: int | None = None) -> str:
@@ -66,7 +66,7 @@ class Trained:
         return read_card(path) if path.exists() else None
 
     def impossible(self) -> str | None:
-        """Why no network of this recipe can have this R, if so."""
+        """The reason why no network of this recipe can have this R, or ``None``."""
         if self.recipe == "mpu" and self.ratio and self.ratio & (self.ratio - 1):
             return "a cascade of 2x steps makes powers of 2 alone"
         return None

@@ -15,7 +15,7 @@ __all__ = ["BoundedMap", "StarvationGuard"]
 
 @dataclass(frozen=True)
 class StarvationGuard:
-    """How a cloud makes progress while other requests go first.
+    """Rules by which a cloud makes progress while other requests go first.
 
     Attributes:
         turns: semaphore of tasks that run before all others; parts take it one at a time.
