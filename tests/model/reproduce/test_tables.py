@@ -248,7 +248,8 @@ def test_robustness_figures(truth, tmp_path):
         lidar(twice, frame)
 
 
-@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.timeout(600)
 def test_the_command(truth, networks, tmp_path, monkeypatch):
     """One part after the other into one document; an unknown part is refused."""
     shape, samples = truth

@@ -69,6 +69,17 @@ def known(backend: DaskBackend, handles: list[Any]) -> int:
     return sum(handle.key in tasks for handle in handles)
 
 
+async def until_quick(backend: DaskBackend) -> None:
+    """Wait until quick stages run beside another: a new worker has one thread at first."""
+    handles: list[Any] = []
+
+    def check() -> bool:
+        handles.append(submit(backend, light.add_quickly, 1, 1))
+        return any(handle.done() for handle in handles)
+
+    await until(check)
+
+
 async def warm(backend: DaskBackend, count: int) -> None:
     """Wait until there are so many workers."""
     await until(lambda: backend.warm_workers == count)
@@ -131,13 +142,13 @@ def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
     """A task repeated after the loss of its worker counts with its patches."""
 
     async def scenario(backend: DaskBackend) -> None:
-        log, gate = tmp_path / "log", str(tmp_path / "gate")
-        held = submit(backend, light.hold, gate, str(log), "held", patches=5)
+        log, gate = tmp_path / "log", tmp_path / "gate"
+        held = submit(backend, light.hold, str(gate), str(log), "held", patches=5)
         await until(log.exists)
         assert backend.retried_patches == 0
         worker = next(iter(backend._cluster.workers.values()))
         await worker.kill()
-        await backend.fetch(submit(backend, light.open_gate, gate))
+        gate.touch()
         assert await backend.fetch(held) == "held"
         assert await backend.fetch(submit(backend, light.add, 1, 1, patches=7)) == 2
         await until(lambda: backend.retried_patches == 5)
@@ -184,6 +195,7 @@ def test_priority_decides(play: Play, tmp_path: Path) -> None:
         gate = str(tmp_path / "gate")
         first = submit(backend, light.hold, gate, str(log), "first")
         await until(log.exists)
+        await until_quick(backend)
         large = [submit(backend, light.log, str(log), "large", priority=-100) for _ in range(8)]
         small = submit(backend, light.log, str(log), "small", priority=-1)
         await until(lambda: known(backend, [small, *large]) == 9)
@@ -206,7 +218,7 @@ def test_quick_stages_do_not_wait(play: Play, tmp_path: Path) -> None:
             submit(backend, light.hold, str(gate), str(log), name) for name in ("first", "second")
         ]
         await until(lambda: log.exists() and log.read_text() == "first\n")
-        assert await backend.fetch(submit(backend, light.add_quickly, 1, 1)) == 2
+        await until_quick(backend)
         assert log.read_text().split() == ["first"]
         gate.touch()
         assert [await backend.fetch(each) for each in held] == ["first", "second"]
@@ -235,6 +247,7 @@ def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
         gate = str(tmp_path / "gate")
         first = submit(backend, light.hold, gate, str(log), "first")
         await until(log.exists)
+        await until_quick(backend)
         handles = [submit(backend, light.log, str(log), str(n)) for n in range(10)]
         await until(lambda: known(backend, handles) == 10)
         backend.cancel(handles)
