@@ -48,10 +48,12 @@ def test_broken_files(place: mmap.mmap) -> None:
 def test_every_file_of_the_corpus_is_valid() -> None:
     """Mutations start from what the readers take, in every format that can be told from others."""
     told = set()
-    for files in corpus().values():
+    for kind, files in corpus().items():
         for data in files:
-            told.add(formats.detect(io.BytesIO(data)))
-            assert len(formats.read(io.BytesIO(data), limits=trial.LIMITS)) > 0
+            # The header of a binary STL file is any text: only its name tells the format.
+            named = "stl" if kind == "stl" and not data.startswith(b"solid") else None
+            told.add(named or formats.detect(io.BytesIO(data)))
+            assert len(formats.read(io.BytesIO(data), format=named, limits=trial.LIMITS)) > 0
     assert told == set(FORMATS)
 
 
