@@ -33,8 +33,7 @@ def upsampler():
     return Upsampler()
 
 
-@pytest.fixture(scope="module")
-def ball():
+def even_ball(seed):
     """An even sphere of 4,000 points."""
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 121), np.linspace(0, np.pi, 61))
     at = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
@@ -43,8 +42,14 @@ def ball():
         part.ravel() for part in (rows[:-1, :-1], rows[1:, :-1], rows[:-1, 1:], rows[1:, 1:])
     )
     faces = np.concatenate([np.stack([one, two, three], 1), np.stack([three, two, four], 1)])
-    points = poisson_disk(at.reshape(-1, 3), faces, 4000, np.random.default_rng(0))
+    points = poisson_disk(at.reshape(-1, 3), faces, 4000, np.random.default_rng(seed))
     return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """The first of the even spheres."""
+    return even_ball(0)
 
 
 def dense(upsampler, cloud, options, size=None):
@@ -85,20 +90,26 @@ def test_small_clouds_stay_whole(ball):
     assert measured == [None, None]
 
 
-def test_no_seam_shows(upsampler, ball):
+def test_no_seam_shows(upsampler):
     """Tiles are as even as one piece, without coincident points, with all normals outward."""
-    whole = dense(upsampler, Cloud(ball), Options(4.0)).cloud
-    tiled = dense(upsampler, Cloud(ball), Options(4.0), SIZE).cloud
-    assert len(tiled) == 16_000
-    assert evenness(tiled.points) < 1.03 * evenness(whole.points)
-    once, tiles = (
-        np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
-    )
-    # Without the separation at the seams, 2 to 14 points of such a ball are as close to another
-    # one as 0.13 of the smallest distance here.
-    assert (tiles[:100] > 0.9 * once[:100]).all()
-    assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
-    assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
+    ratios = []
+    for seed in range(3):
+        ball = Cloud(even_ball(seed))
+        whole = dense(upsampler, ball, Options(4.0)).cloud
+        tiled = dense(upsampler, ball, Options(4.0), SIZE).cloud
+        assert len(tiled) == 16_000
+        assert evenness(tiled.points) < 1.03 * evenness(whole.points)
+        once, tiles = (
+            np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
+        )
+        # Without the separation at the seams, 2 to 14 points of such a ball are as close to
+        # another one as 0.13 of the smallest distance here.
+        assert (tiles[:100] > 0.9 * once[:100]).all()
+        ratios.append(tiles[:100] / once[:100])
+        assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
+        assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
+    # Rounding, which differs between processors, decides on the pairs of one ball, not on the mean.
+    assert (np.mean(ratios, axis=0) > 0.95).all()
 
 
 def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
