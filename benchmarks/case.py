@@ -125,7 +125,7 @@ class Figures:
     @property
     def network_seconds(self) -> float:
         """Processor time of the stage ``network``, a chart."""
-        return self.stages["network"] / self.work.charts
+        return self.stages["predict"] / self.work.charts
 
     @property
     def roofline(self) -> float:

@@ -83,7 +83,7 @@ def main() -> Ratios:
         linearity=_LARGE[0] / _SMALL[0] * small.cpu_seconds / large.cpu_seconds,
         density=dense.cpu_seconds / small.cpu_seconds,
         rest=sum(small.stages[name] for name in ("prepare", "merge", "finish"))
-        / small.stages["network"],
+        / small.stages["predict"],
         novelty=_novelty(upsampler),
         roofline=_roofline(upsampler, small, speed),
     )
@@ -95,7 +95,7 @@ def _novelty(upsampler: Upsampler) -> float:
     again: list[float] = []
     for file in map(_file, _SIZES):
         for times in (first, again):
-            times.append(upsampled(upsampler, file, _SMALL[1]).stages["network"])
+            times.append(upsampled(upsampler, file, _SMALL[1]).stages["predict"])
     return min(first) / min(again)
 
 
@@ -104,7 +104,7 @@ def _roofline(upsampler: Upsampler, run: Run, speed: Sequence[dict[str, float]])
     if not bfloat16_pays() or bf16 > _UNITS * fp32:
         return None
     work = roofline.work(upsampler.model, _cloud(_SMALL[0]), _SMALL[1])
-    return work.seconds({"bf16": bf16}) * work.charts / run.stages["network"]
+    return work.seconds({"bf16": bf16}) * work.charts / run.stages["predict"]
 
 
 def _fastest(runs: Iterable[Run]) -> Run:
