@@ -63,7 +63,9 @@ def _root(
 
 @app.command()
 def upsample(
-    source: Annotated[Path, typer.Argument(help="PLY, NPY, NPZ, JSON or XYZ file.")],
+    source: Annotated[
+        Path, typer.Argument(help="PLY, LAS, LAZ, PCD, E57, PTX, XYZ, NPY, NPZ or JSON file.")
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Output; its suffix is its format.")],
     ratio: Annotated[float, typer.Option("-R", "--ratio", help="1 to 32, any number.")] = 4.0,
     n_points: Annotated[int | None, typer.Option(help="Points wanted, instead of -R.")] = None,
@@ -79,11 +81,12 @@ def upsample(
         "standard"
     ),
     format: Annotated[
-        str | None, typer.Option(help="ply, ply-ascii, npz, json or xyz [from the suffix].")
+        str | None, typer.Option(help="Output format, such as ply-ascii or laz [from the suffix].")
     ] = None,
 ) -> None:
     """Write a cloud with R times as many points, each with a normal."""
-    from pugeo_model.formats import FORMATS, read, write, written_as
+    from pugeo_model.formats import WRITABLE, read, write, written_as
+    from pugeo_model.formats import dropped as attributes_dropped
     from pugeo_model.kernel_cache import compile_kernels
     from pugeo_model.options import Options
     from pugeo_model.upsampler import Upsampler
@@ -92,8 +95,8 @@ def upsample(
     # Invalid options are an error before the work, not after it.
     Options(ratio, n_points, orient, where, seed, keep_input)
     kind = format or written_as(out)
-    if kind not in FORMATS:
-        raise typer.BadParameter(f"must be one of {', '.join(FORMATS)}", param_hint="--format")
+    if kind not in WRITABLE:
+        raise typer.BadParameter(f"must be one of {', '.join(WRITABLE)}", param_hint="--format")
     cloud = read(source)
     compile_kernels(_console.print)
     upsampler = Upsampler(model)
@@ -123,7 +126,8 @@ def upsample(
             f"dropped {dropped['non_finite']:,} non-finite and {dropped['duplicate']:,}"
             " duplicate points"
         )
-    for note in report["notes"]:
+    lost = attributes_dropped(result.cloud, kind)
+    for note in [*report["notes"], *([lost] if lost else [])]:
         _console.print(f"note: {note}")
 
 

@@ -86,7 +86,7 @@ class Page:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         assert (done.returncode != 0) == snippet.fails, f"{snippet.place}:\n{done.stdout}"
-        key = re.search(r"The key, shown this once: (\S+)", done.stdout)
+        key = re.search(r"The key, which is shown only once: (\S+)", done.stdout)
         if key:
             self.environment["PUGEO_API_KEY"] = key[1]
         return done.stdout

@@ -38,6 +38,21 @@ def test_upsample_writes_by_suffix(ball, tmp_path):
         assert dense.normals is not None
 
 
+def test_a_format_without_room_for_normals(ball, tmp_path):
+    """Attributes that the output format cannot hold are named in a note."""
+    done = run("upsample", ball, "-R", "2", "-o", tmp_path / "dense.ptx")
+    assert done.returncode == 0, done.stderr
+    assert "no room for it: normals" in " ".join(done.stderr.split())
+
+
+def test_a_format_that_is_only_read(ball, tmp_path):
+    """An output format that cannot be written is refused, with those that can be."""
+    done = run("upsample", ball, "-o", tmp_path / "dense.obj")
+    assert done.returncode == 2
+    assert "ply" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize(
     ("args", "words"),
     [

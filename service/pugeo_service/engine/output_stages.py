@@ -122,7 +122,9 @@ def written(
         buffer = io.BytesIO()
         formats.write(result.cloud, buffer, format=format)
         data = np.frombuffer(buffer.getbuffer(), np.uint8)
-    return Output(data, result.report, times.seconds, batches)
+    note = formats.dropped(result.cloud, format)
+    notes = [*result.report["notes"], *([note] if note else [])]
+    return Output(data, {**result.report, "notes": notes}, times.seconds, batches)
 
 
 @quick

@@ -74,7 +74,9 @@ def test_what_is_written_tile_by_tile(
 ) -> None:
     """Clouds that can be written tile by tile, and clouds that cannot."""
     cut = plan.make_plan
-    monkeypatch.setattr(plan, "make_plan", lambda cloud, options: cut(cloud, options, 3000))
+    monkeypatch.setattr(
+        plan, "make_plan", lambda cloud, options, **more: cut(cloud, options, 3000, **more)
+    )
     file = io.BytesIO()
     formats.write(sphere(scalars, 9000), file, format="npz")
     order = replace(
