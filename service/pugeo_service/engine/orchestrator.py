@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orchestration of one request, from the bytes of its body to the bytes of its answer.
 
-There are three ways to the bytes, each for its measured gain (two workers, see
-docs/performance.md): a small cloud is upsampled in the task that reads it; tiles of a large one are
-written on their workers if the format consists of rows; other answers are assembled on one worker.
+There are three ways to the bytes (medians of one run with two workers on two cores, Zen 3):
+
+- A small cloud is upsampled in the task that reads it: 2,000 points at R=4 take 368 ms, in separate
+  tasks 455 ms.
+- Tiles of a large cloud are written where they are if the format consists of rows. This bounds
+  memory, and saves no time: 100,000 points at R=8 take 12.2 s, assembled on one worker 11.4 s.
+- All other answers are assembled on one worker.
 """
 
 import asyncio
