@@ -149,7 +149,15 @@ def matches(found: Any, shown: Any, place: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [
+        # The training page trains and evaluates: most of a minute.
+        pytest.param(page, marks=[pytest.mark.long] if page.name == "training.md" else [])
+        for page in RUNNABLE
+    ],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
 def test_snippets_run(
     page: Path, service: str, serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
