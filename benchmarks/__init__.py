@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs that print the figures of docs/performance.md: ``python -m benchmarks``, or ``make bench``.
+"""Programs that print the figures of docs/performance.md: `python -m benchmarks` or `make bench`.
 
     __main__   options, one child process a case, the report
     case       what a case is and what is measured of it
