@@ -107,14 +107,14 @@ class Client:
         if ``timeout`` is longer than that limit.
 
         Args:
-            src: a path, bytes or an open binary file of PLY, NPZ, NPY, JSON or XYZ; an ``(N, 3)``
-                or ``(N, 6)`` array, list or torch tensor (columns 4 to 6 are normals); an Open3D
-                cloud; or a dict of arrays ``points``, ``normals``, ``colors``, ``scalars``. Files
-                are streamed, never held in memory.
+            src: a path, bytes or an open binary file of any format that the service reads; an
+                ``(N, 3)`` or ``(N, 6)`` array, list or torch tensor (columns 4 to 6 are normals);
+                an Open3D cloud; or a dict of arrays ``points``, ``normals``, ``colors``,
+                ``scalars``. Files are streamed, never held in memory.
             ratio: output points per input point, any number from 1 to 32; 4 by default.
             out: output file; it is written atomically.
-            format: ``ply``, ``ply-ascii``, ``npz``, ``npy``, ``json``, ``xyz``; by default that
-                of the extension of ``out``, or ``ply``.
+            format: of the answer, such as ``ply``, ``ply-ascii`` or ``laz``; by default that of
+                the extension of ``out``, or ``ply``.
             timeout: seconds for this call; that of the client by default.
             on_progress: called with a stage (``"send"``, ``"receive"``), bytes done, bytes in
                 total.
@@ -233,7 +233,7 @@ class Client:
         Args:
             src: as in `upsample`, like the options that are not explained here.
             ratio: output points per input point.
-            format: of the result: ``ply``, ``ply-ascii``, ``npz``, ``npy``, ``json``, ``xyz``.
+            format: of the result, as in `upsample`.
             idempotency_key: name of the job: submitting the same again under it returns the same
                 job, also from another process. By default a random one for each call.
             timeout: seconds for the submission; that of the client by default.

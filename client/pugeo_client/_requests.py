@@ -33,14 +33,19 @@ __all__ = [
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_RATIO = 4
 USER_AGENT = f"pugeo-client/{__version__} (python/{platform.python_version()}; {platform.system()})"
-EXTENSIONS = {
-    ".ply": "ply",
-    ".npy": "npy",
-    ".npz": "npz",
-    ".json": "json",
-    ".xyz": "xyz",
-    ".txt": "xyz",
+_FORMATS = {
+    "ply": ".ply",
+    "npz": ".npz",
+    "npy": ".npy",
+    "las": ".las",
+    "laz": ".laz",
+    "e57": ".e57",
+    "pcd": ".pcd",
+    "ptx": ".ptx",
+    "json": ".json",
+    "xyz": ".xyz .pts .txt .csv .asc .xyzn .xyzrgb .neu .dat",
 }
+EXTENSIONS = {end: name for name, endings in _FORMATS.items() for end in endings.split()}
 """File extension -> format of the answer."""
 _VISIBLE = re.compile(r"[\x21-\x7e]+")
 _KEY = re.compile(r"[\x21-\x7e]([\x20-\x7e]{0,253}[\x21-\x7e])?")
@@ -155,7 +160,7 @@ def upsample_request(
     Args:
         source: see `Source`.
         ratio: number of output points per input point, 1 to 32; 4 by default.
-        format: of the answer: ``ply``, ``ply-ascii``, ``npz``, ``npy``, ``json``, ``xyz``.
+        format: of the answer, such as ``ply``, ``ply-ascii`` or ``laz``.
         R: this and the following: see `Options`.
 
     Raises:

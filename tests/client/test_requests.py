@@ -8,6 +8,7 @@ import pytest
 import pugeo_client
 from pugeo_client import _requests
 from pugeo_client.errors import ConfigurationError, SourceError
+from pugeo_model.formats import WRITABLE
 
 
 def build(**changes: Any) -> _requests.Request:
@@ -83,7 +84,7 @@ def test_options_of_the_wrong_type(options: dict[str, Any], words: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("a.ply", "ply"), ("a.PLY", "ply"), ("a.npz", "npz"), ("a.json", "json"), ("a.xyz", "xyz")],
+    [("a.ply", "ply"), ("a.PLY", "ply"), ("a.npz", "npz"), ("a.json", "json"), ("a.LAZ", "laz")],
 )
 def test_format_by_extension(name: str, expected: str) -> None:
     """The extension of the output file chooses the format of the answer."""
@@ -93,7 +94,7 @@ def test_format_by_extension(name: str, expected: str) -> None:
 def test_no_format_by_extension() -> None:
     """An unknown extension is refused with the way out; memory holds PLY."""
     with pytest.raises(SourceError, match="format="):
-        _requests.format_of(Path("a.laz"))
+        _requests.format_of(Path("a.obj"))
     assert _requests.format_of(None) == "ply"
 
 
@@ -147,3 +148,9 @@ def test_idempotency_keys(key: str) -> None:
     """A key that the service would refuse, or that no header carries, is refused here."""
     with pytest.raises(SourceError, match="idempotency_key"):
         _requests.submit_request(build(), key)
+
+
+def test_extensions_are_those_that_the_service_writes() -> None:
+    """The SDK knows each extension of each format that is written, and no other."""
+    written = {end: name for name, each in WRITABLE.items() for end in each.EXTENSIONS}
+    assert _requests.EXTENSIONS == written

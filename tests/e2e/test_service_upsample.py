@@ -99,7 +99,27 @@ def test_a_bare_array(server: Server, cloud: Cloud) -> None:
     """An NPY file of points is accepted."""
     response = post(server, "?R=2", content=npy(cloud.points))
     assert response.status_code == 200, response.text
+    assert len(decode(response.content, "npy")) == 1200
+
+
+@pytest.mark.parametrize("name", list(WRITABLE))
+@pytest.mark.parametrize("accept", ["", "*/*"])
+def test_the_format_of_the_input(server: Server, cloud: Cloud, name: str, accept: str) -> None:
+    """Without a wish the answer has the format of the input, whatever the body's type says."""
+    headers = {"Content-Type": "application/octet-stream", "Accept": accept}
+    response = post(server, "?R=2", content=encode(cloud, name), headers=headers)
+    assert response.status_code == 200, response.text
+    assert response.headers["content-type"].startswith(WRITABLE[name].MEDIA_TYPES[0])
+    assert len(decode(response.content, name)) == 1200
+
+
+def test_an_input_that_is_only_read(server: Server, cloud: Cloud) -> None:
+    """The vertices of an OBJ file give PLY, and a note says so."""
+    lines = "".join(f"v {x} {y} {z}\n" for x, y, z in cloud.points.tolist())
+    response = post(server, "?R=2", content=lines.encode())
+    assert response.status_code == 200, response.text
     assert len(decode(response.content, "ply")) == 1200
+    assert "PLY by default" in response.headers["Pugeo-Notes"]
 
 
 def test_a_body_of_unknown_length(server: Server, cloud: Cloud) -> None:

@@ -169,7 +169,7 @@ test("an option out of its range, an unknown job, and a service that is gone", a
 test("the same request as code", async ({ watched: page, service }) => {
   await page.click("[data-example='knot.ply'] >> nth=0");
   await page.click("#code summary");
-  await expect(page.locator("#snippet")).toContainText(`'${service.url}upsample?R=8'`);
+  await expect(page.locator("#snippet")).toContainText(`'${service.url}upsample?R=8&format=ply'`);
   await page.click("[data-code=python]");
   await expect(page.locator("#snippet")).toContainText('client.upsample("knot.ply", ratio=8)');
   await page.click("[data-code=shell]");

@@ -34,6 +34,7 @@ from pugeo_model.formats.stream import Source, Target, replacing, seekable
 __all__ = [
     "BY_ROWS",
     "FORMATS",
+    "HEAD_BYTES",
     "WRITABLE",
     "ByRows",
     "Format",
@@ -44,6 +45,7 @@ __all__ = [
     "dropped",
     "output_format",
     "read",
+    "sniff",
     "write",
     "written_as",
 ]
@@ -105,7 +107,13 @@ WRITABLE: dict[str, Format] = {
 
 BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz, "pcd": pcd}
 
-_HEAD_BYTES = 4096
+HEAD_BYTES = 4096
+"""Leading bytes of a file from which its format is recognised."""
+
+
+def sniff(head: bytes) -> str | None:
+    """Tell the format of a file by its first `HEAD_BYTES` bytes; ``None`` if none recognises it."""
+    return next((key for key, module in FORMATS.items() if module.sniff(head)), None)
 
 
 def detect(file: IO[bytes], *, name: str | None = None) -> str:
@@ -123,13 +131,12 @@ def detect(file: IO[bytes], *, name: str | None = None) -> str:
         MalformedFileError: the file is empty.
     """
     here = file.tell()
-    head = file.read(_HEAD_BYTES)
+    head = file.read(HEAD_BYTES)
     file.seek(here)
     if not head:
         raise MalformedFileError("The file is empty.", code="empty")
-    for key, module in FORMATS.items():
-        if module.sniff(head):
-            return key
+    if (found := sniff(head)) is not None:
+        return found
     if name is not None and (found := _by_extension(name)) is not None:
         return found
     raise UnsupportedFormatError(
@@ -163,7 +170,10 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
             module = FORMATS[detect(file, name=name)]
         cloud = module.read(file, limits)
     info = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
-    return replace(cloud, source=info)
+    notes = cloud.notes
+    if module.NAME not in WRITABLE:
+        notes += (f"{module.NAME.upper()} is only read: the output is PLY by default.",)
+    return replace(cloud, source=info, notes=notes)
 
 
 def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:

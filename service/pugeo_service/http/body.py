@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from starlette.requests import Request
 
-from pugeo_model.formats import FORMATS
+from pugeo_model.formats import FORMATS, HEAD_BYTES, sniff
 from pugeo_service.admission.admission import Reservation
 from pugeo_service.http.multipart import FilePart
 from pugeo_service.problems import ProblemError
@@ -48,11 +48,13 @@ class Body(Generic[WriterT]):
 
     Attributes:
         spool: its bytes; the holder of the body closes it.
-        format: the model's name of the format, or ``None`` if the content decides.
+        format: the model's name of the declared format, or ``None`` if the content decides.
+        read_as: the format of the content, else the declared one; ``None`` if neither is known.
     """
 
     spool: WriterT
     format: str | None
+    read_as: str | None
 
 
 async def receive_body(
@@ -83,7 +85,9 @@ async def receive_into(
     try:
         part, kind = _declared(request)
         chunks = _chunks(request, settings, reservation)
+        head = bytearray()
         async for data in chunks if part is None else part.data(chunks):
+            head += data[: HEAD_BYTES - len(head)]
             with storage_problems():
                 await writer.write(data)
         _check_not_empty(writer)
@@ -93,12 +97,13 @@ async def receive_into(
     if part is not None:
         # Browsers and libraries guess the type of a part, so an unknown one is ignored.
         kind = part.content_type.partition(";")[0].strip().lower()
-    return Body(writer, ACCEPTED.get(kind))
+    declared = ACCEPTED.get(kind)
+    return Body(writer, declared, sniff(bytes(head)) or declared)
 
 
 def _check_not_empty(writer: BufferedWriter) -> None:
     if writer.size == 0:
-        detail = "The body is empty; send a point cloud as PLY, NPY, NPZ, JSON or text."
+        detail = f"The body is empty; send a point cloud. Formats: {', '.join(FORMATS)}."
         raise ProblemError(400, "empty_body", detail)
 
 

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the output format: ``?format=`` first, then ``Accept`` with its weights (RFC 9110)."""
+"""Choice of the output format: ``?format=``, then ``Accept`` (RFC 9110), then that of the input."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pugeo_model.formats import WRITABLE
+from pugeo_model.formats import WRITABLE, output_format
 from pugeo_service.problems import ProblemError
 
-__all__ = ["DEFAULT", "OUTPUT_FORMATS", "OutputFormat", "choose_format", "negotiate"]
+__all__ = ["OUTPUT_FORMATS", "OutputChoice", "OutputFormat", "choose_format"]
 
 
 @dataclass(frozen=True)
@@ -40,37 +39,52 @@ def _output_format(name: str) -> OutputFormat:
     return OutputFormat(name, (*module.MEDIA_TYPES, *further), extension)
 
 
-# Binary PLY is first, as the choice for wildcards.
+# Binary PLY is first, as the choice where the format of the input cannot be written.
 OUTPUT_FORMATS: dict[str, OutputFormat] = {
     name: _output_format(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
 }
-DEFAULT = OUTPUT_FORMATS["ply"]
-# Media ranges for which the default is chosen.
-_ANY = frozenset({"*/*", "application/*", "model/*", "application/octet-stream"})
+# Media ranges that the format of the input suits, whatever it is.
+_ANY = frozenset({"*/*", "application/octet-stream"})
+# Fallbacks of the other wildcards: for an input whose format has no such media type.
+_WILDCARDS = {"application/*": "ply", "model/*": "ply", "text/*": "xyz"}
 
 
-def negotiate(headers: Mapping[str, str], wanted: str | None) -> OutputFormat:
-    """Choose the format of an answer by the headers of its request and ``?format=``.
+@dataclass(frozen=True)
+class OutputChoice:
+    """The format of an answer, as far as it is known before the input.
 
-    JSON in means JSON out unless ``Accept`` names another format.
-
-    Raises:
-        ProblemError: see `choose_format`.
+    Attributes:
+        fixed: the format that the request names; ``None`` if it is that of the input.
+        media_range: range that the format of the input must suit, such as ``*/*`` or ``text/*``.
     """
-    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
-    default = OUTPUT_FORMATS["json"] if kind == "application/json" else DEFAULT
-    return choose_format(headers.get("accept"), wanted, default)
+
+    fixed: OutputFormat | None
+    media_range: str = "*/*"
+
+    def for_input(self, read_as: str | None) -> OutputFormat:
+        """Return the format of the answer to an input.
+
+        Args:
+            read_as: the model's name of the input's format, ``None`` if it is not recognised.
+        """
+        if self.fixed is not None:
+            return self.fixed
+        own = OUTPUT_FORMATS[output_format(read_as)]
+        if self.media_range in _ANY:
+            return own
+        prefix = self.media_range.removesuffix("*")
+        suits = any(kind.startswith(prefix) for kind in own.media_types)
+        return own if suits else OUTPUT_FORMATS[_WILDCARDS[self.media_range]]
 
 
-def choose_format(
-    accept: str | None, wanted: str | None, default: OutputFormat = DEFAULT
-) -> OutputFormat:
+def choose_format(accept: str | None, wanted: str | None) -> OutputChoice:
     """Choose the format of an answer.
+
+    Without ``format`` and without a media type in ``Accept`` it is the format of the input.
 
     Args:
         accept: the ``Accept`` header, or ``None``.
         wanted: the value of ``?format=``. It has priority, because a link cannot set headers.
-        default: choice for wildcards.
 
     Raises:
         ProblemError: 422 for an unknown ``format``, 406 if no format matches the header.
@@ -80,17 +94,15 @@ def choose_format(
             detail = f"format={wanted[:40]!r} is not one of {', '.join(OUTPUT_FORMATS)}."
             fields = {"parameter": "format", "value": wanted[:80], "allowed": list(OUTPUT_FORMATS)}
             raise ProblemError(422, "bad_option", detail, fields=fields)
-        return OUTPUT_FORMATS[wanted]
+        return OutputChoice(OUTPUT_FORMATS[wanted])
     if accept is None or not accept.strip():
-        return default
+        return OutputChoice(None)
     for media_range in _ranked(accept):
-        if media_range in _ANY:
-            return default
+        if media_range in _ANY or media_range in _WILDCARDS:
+            return OutputChoice(None, media_range)
         for output in OUTPUT_FORMATS.values():
             if media_range in output.media_types:
-                return output
-        if media_range == "text/*":
-            return OUTPUT_FORMATS["xyz"]
+                return OutputChoice(output)
     offers = [output.media_type for output in OUTPUT_FORMATS.values()]
     detail = f"No output format matches Accept: {accept[:120]}. Offered: {', '.join(offers)}."
     fields = {"offers": offers, "formats": list(OUTPUT_FORMATS)}

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from pugeo_service.http.negotiation import OUTPUT_FORMATS
+
 __all__ = ["UpsampleQuery"]
 
 _DEFAULT_RATIO = 4.0
@@ -59,7 +61,11 @@ class UpsampleQuery(BaseModel):
     ] = False
     format: Annotated[
         str | None,
-        Field(description="ply, ply-ascii, npz, json or xyz; has priority over Accept."),
+        Field(
+            # The page takes its list of formats from the words before the semicolon.
+            description=f"{', '.join(OUTPUT_FORMATS)}; has priority over Accept. "
+            "By default the format of the input where it can be written, else ply."
+        ),
     ] = None
 
     @model_validator(mode="before")

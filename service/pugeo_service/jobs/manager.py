@@ -11,6 +11,7 @@ from starlette.requests import Request
 
 from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
+from pugeo_service.http.negotiation import OutputChoice
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs import repository
 from pugeo_service.jobs.change_feed import ChangeFeed
@@ -141,12 +142,12 @@ class JobManager:
             await asyncio.to_thread(shutil.rmtree, self._folder, ignore_errors=True)
 
     async def submit(
-        self, request: Request, query: UpsampleQuery, answer: str, owner: str, key: str | None
+        self, request: Request, query: UpsampleQuery, choice: OutputChoice, owner: str, key: str | None
     ) -> tuple[Job, bool]:
         """Accept a job; see `Submission`."""
         self._check_ready()
         self.uploads.check_draining()
-        job, new = await self._submission(request, query, answer, owner, key)
+        job, new = await self._submission(request, query, choice, owner, key)
         if new:
             self._telemetry.jobs.labels("queued").inc()
             _log.info("job accepted", job=job.id, bytes_in=job.input_bytes)

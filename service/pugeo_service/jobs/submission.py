@@ -16,6 +16,7 @@ from starlette.requests import Request
 
 from pugeo_service.admission.admission import Admission
 from pugeo_service.http.body import receive_into
+from pugeo_service.http.negotiation import OutputChoice
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs import repository
 from pugeo_service.jobs.database import Database
@@ -65,14 +66,14 @@ class Submission:
         self._quota = Quota(settings.jobs_queue, settings.jobs_bytes)
 
     async def __call__(
-        self, request: Request, query: UpsampleQuery, answer: str, owner: str, key: str | None
+        self, request: Request, query: UpsampleQuery, choice: OutputChoice, owner: str, key: str | None
     ) -> tuple[Job, bool]:
         """Accept a job; once this returns, the job survives a crash of this process.
 
         Args:
             request: request whose body is the input.
             query: options.
-            answer: format of the result.
+            choice: format of the result, which may depend on that of the input.
             owner: name of the API key.
             key: idempotency key of the client, or ``None``.
 
@@ -92,6 +93,7 @@ class Submission:
             with storage_problems():
                 await file.commit()
         options = query.model_dump(exclude={"format"})
+        answer = choice.for_input(body.read_as).name
         job = Job(
             id=job_id,
             owner=owner,

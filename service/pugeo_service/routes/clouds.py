@@ -3,6 +3,8 @@
 
 from typing import Any
 
+from pugeo_service.http.body import ACCEPTED
+
 __all__ = ["BINARY", "BODY", "HEADERS"]
 
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -34,11 +36,8 @@ BODY: dict[str, Any] = {
                 }
             },
             "application/json": {"schema": _POINTS},
-            "application/x-ply": BINARY,
-            "application/x-npz": BINARY,
-            "application/x-npy": BINARY,
-            "application/octet-stream": BINARY,
             "text/plain": {"schema": {"type": "string"}},
+            **{kind: BINARY for kind in ACCEPTED if kind not in {"", "application/json", "text/plain"}},
         },
     }
 }

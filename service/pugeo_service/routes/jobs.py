@@ -10,7 +10,7 @@ from fastapi.sse import EventSourceResponse
 
 from pugeo_model.errors import CloudError
 from pugeo_service.container import ServiceDep
-from pugeo_service.http.negotiation import OUTPUT_FORMATS, negotiate
+from pugeo_service.http.negotiation import OUTPUT_FORMATS, choose_format
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.api_models import JobPage, JobResponse
 from pugeo_service.jobs.events import stream
@@ -73,9 +73,9 @@ async def submit(
 ) -> JobResponse:
     """Accept a point cloud to upsample; the body and the options are those of /upsample."""
     try:
-        output = negotiate(request.headers, query.format)
+        choice = choose_format(request.headers.get("accept"), query.format)
         owner, key = owner_of(request), idempotency_key(request)
-        job, _ = await service.jobs.submit(request, query, output.name, owner, key)
+        job, _ = await service.jobs.submit(request, query, choice, owner, key)
     except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise

@@ -13,7 +13,12 @@ from pugeo_service.container import Service, ServiceDep
 from pugeo_service.engine import RunRequest, RunResult
 from pugeo_service.http.body import Body, ClientDisconnectedError, receive_body
 from pugeo_service.http.cancellation import while_connected
-from pugeo_service.http.negotiation import OUTPUT_FORMATS, OutputFormat, negotiate
+from pugeo_service.http.negotiation import (
+    OUTPUT_FORMATS,
+    OutputChoice,
+    OutputFormat,
+    choose_format,
+)
 from pugeo_service.http.prefer import preferred_wait
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.http.responses import SpoolResponse, response_headers
@@ -58,8 +63,8 @@ async def upsample(
     """Upsample the point cloud in the body: R times as many points, each with a normal."""
     deadline = Deadline(preferred_wait(request.headers), service.settings.deadline_s)
     try:
-        output = negotiate(request.headers, query.format)
-        result = await _serve(request, service, output, query, deadline)
+        choice = choose_format(request.headers.get("accept"), query.format)
+        result, output = await _serve(request, service, choice, query, deadline)
     except (ProblemError, CloudError) as error:
         service.telemetry.rejected.labels(error.code).inc()
         raise
@@ -75,10 +80,10 @@ async def upsample(
 async def _serve(
     request: Request,
     service: Service,
-    output: OutputFormat,
+    choice: OutputChoice,
     query: UpsampleQuery,
     deadline: Deadline,
-) -> RunResult:
+) -> tuple[RunResult, OutputFormat]:
     if service.not_ready_because == "no_worker":
         raise ProblemError(
             503,
@@ -91,10 +96,12 @@ async def _serve(
             async with deadline.receiving_body():
                 body = await receive_body(request, service.settings, reservation)
             with body.spool:
+                output = choice.for_input(body.read_as)
                 reservation.admit(RunRequest.estimate(body.spool.size, body.format))
                 workers = service.engine.status.workers
                 reservation.check_deadline(deadline.remaining, workers, counted=False)
-                return await _run(request, service, body, output, query, reservation, deadline)
+                result = await _run(request, service, body, output, query, reservation, deadline)
+                return result, output
         except DeadlinePassedError as error:
             service.telemetry.cancelled.labels("deadline").inc()
             detail = f"The request took longer than {deadline.description}."

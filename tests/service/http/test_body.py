@@ -70,6 +70,33 @@ def test_types(tmp_path: Path, content_type: str, expected: str | None) -> None:
     assert take(wire, tmp_path, content_type=content_type) == (b"abc", expected)
 
 
+@pytest.mark.parametrize(
+    ("pieces", "content_type", "expected"),
+    [
+        ((b"pl", b"y\nformat ascii 1.0\n"), "", "ply-ascii"),
+        ((b"ply\nformat ascii 1.0\n",), "application/x-ply", "ply-ascii"),
+        ((b"PK\x03\x04" + bytes(8000),), "application/zip", "npz"),
+        ((b"\x00\x01",), "application/x-ply", "ply"),
+        ((b"\x00\x01",), "", None),
+    ],
+)
+def test_the_format_of_the_content(
+    tmp_path: Path, pieces: tuple[bytes, ...], content_type: str, expected: str | None
+) -> None:
+    """The first bytes tell the format, however they arrive; else the declared type does."""
+    settings = Settings(spool_dir=tmp_path)
+    scope = {"type": "http", "headers": [(b"content-type", content_type.encode())]}
+
+    async def run() -> str | None:
+        with Admission(9, 10_000, 9).reserve() as reservation:
+            request = Request(scope, Wire(*pieces).receive)
+            body = await receive_body(request, settings, reservation)
+            body.spool.close()
+            return body.read_as
+
+    assert asyncio.run(run()) == expected
+
+
 @pytest.mark.parametrize("content_type", ["image/png", "text/html", "application/xml", "x"])
 def test_other_types(tmp_path: Path, content_type: str) -> None:
     """415 lists the accepted types before a byte is read."""

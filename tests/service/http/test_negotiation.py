@@ -3,8 +3,8 @@
 
 import pytest
 
-from pugeo_model.formats import WRITABLE
-from pugeo_service.http.negotiation import DEFAULT, OUTPUT_FORMATS, choose_format, negotiate
+from pugeo_model.formats import FORMATS, WRITABLE
+from pugeo_service.http.negotiation import OUTPUT_FORMATS, choose_format
 from pugeo_service.problems import ProblemError
 
 
@@ -31,33 +31,49 @@ from pugeo_service.problems import ProblemError
     ],
 )
 def test_accept(accept: str | None, expected: str) -> None:
-    """Weights decide, then specificity, then order; wildcards mean binary PLY."""
-    assert choose_format(accept, None).name == expected
+    """Weights decide, then specificity, then order; wildcards mean the input's format, PLY here."""
+    assert choose_format(accept, None).for_input("ply").name == expected
 
 
 @pytest.mark.parametrize("name", list(WRITABLE))
 def test_every_format_of_the_model_is_offered(name: str) -> None:
     """Each format of the model is chosen by its name and by its media type."""
-    assert choose_format(None, name).name == name
-    assert choose_format(WRITABLE[name].MEDIA_TYPES[0], None).name == name
+    assert choose_format(None, name).for_input("xyz").name == name
+    assert choose_format(WRITABLE[name].MEDIA_TYPES[0], None).for_input("xyz").name == name
 
 
 def test_the_query_wins() -> None:
     """The query has priority over the header."""
-    assert choose_format("application/json", "npz").name == "npz"
+    assert choose_format("application/json", "npz").for_input("ply").name == "npz"
 
 
-def test_wildcards_mean_what_the_route_prefers() -> None:
-    """Wildcards mean the given default."""
-    assert choose_format("*/*", None, OUTPUT_FORMATS["json"]).name == "json"
-    assert DEFAULT.name == "ply"
+@pytest.mark.parametrize("accept", [None, "", "*/*", "application/octet-stream", "text/html, */*"])
+@pytest.mark.parametrize("read_as", list(FORMATS))
+def test_the_format_of_the_input(accept: str | None, read_as: str) -> None:
+    """Without a named format the answer has that of the input, or PLY if it cannot be written."""
+    expected = read_as if read_as in WRITABLE else "ply"
+    assert choose_format(accept, None).for_input(read_as).name == expected
 
 
-def test_json_in_means_json_out() -> None:
-    """The default is JSON for a JSON body, and binary PLY otherwise."""
-    assert negotiate({"content-type": "application/json; charset=utf-8"}, None).name == "json"
-    assert negotiate({"content-type": "application/json"}, "xyz").name == "xyz"
-    assert negotiate({}, None).name == "ply"
+def test_an_input_that_is_not_recognised() -> None:
+    """The answer to an input of no known format would be PLY; the reader then refuses it."""
+    assert choose_format(None, None).for_input(None).name == "ply"
+
+
+@pytest.mark.parametrize(
+    ("accept", "read_as", "expected"),
+    [
+        ("application/*", "laz", "laz"),
+        ("application/*", "xyz", "ply"),
+        ("model/*", "e57", "e57"),
+        ("model/*", "laz", "ply"),
+        ("text/*", "ply-ascii", "ply-ascii"),
+        ("text/*", "laz", "xyz"),
+    ],
+)
+def test_a_range_that_the_input_may_not_suit(accept: str, read_as: str, expected: str) -> None:
+    """A wildcard of one type means the input's format if that has a media type within it."""
+    assert choose_format(accept, None).for_input(read_as).name == expected
 
 
 @pytest.mark.parametrize("accept", ["image/png", "application/json;q=0", "text/html"])

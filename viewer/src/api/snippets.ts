@@ -25,11 +25,11 @@ export function snippets(
   const options = [...query].filter(([name]) => name !== "format");
   const dense = `dense.${SUFFIXES[format] ?? format}`;
   const address = new URL("upsample", service);
-  address.search = new URLSearchParams([...options, ...(format === "ply" ? [] : [["format", format]])])
-    .toString();
+  address.search = new URLSearchParams([...options, ["format", format]]).toString();
   const key = keyed ? ` -H "Authorization: Bearer $PUGEO_API_KEY"` : "";
   const curl = `curl${key} --data-binary @${quote(file)} \\\n  ${quote(address.href)} \\\n  -o ${dense}`;
-  const given = options.map(([name, value]) => `, ${PYTHON_NAMES[name] ?? name}=${literal(name, value)}`);
+  const asked = format === "ply" ? options : [...options, ["format", format]];
+  const given = asked.map(([name, value]) => `, ${PYTHON_NAMES[name] ?? name}=${literal(name, value)}`);
   const python =
     `from pugeo_client import Client\n\nwith Client(${JSON.stringify(trimmed(service))}) as client:\n` +
     `    dense = client.upsample(${JSON.stringify(file)}${given.join("")})\n` +
