@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
-from pugeo_service.cpus import available_cpus
 
 __all__ = ["Settings"]
 

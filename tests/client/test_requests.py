@@ -153,4 +153,4 @@ def test_idempotency_keys(key: str) -> None:
 def test_extensions_are_those_that_the_service_writes() -> None:
     """The SDK knows each extension of each format that is written, and no other."""
     written = {end: name for name, each in WRITABLE.items() for end in each.EXTENSIONS}
-    assert _requests.EXTENSIONS == written
+    assert written == _requests.EXTENSIONS

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
 from pugeo_model.mesh.distance import MeshDistance
+from pugeo_model.mesh.files import read_mesh
 from pugeo_model.mesh.sampling import face_normals, poisson_disk, uniform
 from pugeo_model.metrics.clouds import (
     chamfer,
@@ -103,9 +103,8 @@ class Truth:
     """
 
     def __init__(self, path: Path) -> None:
-        vertices, faces = igl.read_triangle_mesh(str(path))
         self.name = path.stem
-        self.vertices, self.faces = vertices.astype(np.float64), faces.astype(np.int64)
+        self.vertices, self.faces = read_mesh(path)
         self.normals = face_normals(self.vertices, self.faces)
         self.distance = MeshDistance(self.vertices, self.faces)
 

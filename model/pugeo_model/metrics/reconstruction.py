@@ -11,12 +11,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import write
+from pugeo_model.install import install_hint
+from pugeo_model.mesh.files import read_mesh
 
 __all__ = ["DEPTH", "Mesh", "library", "reconstruct"]
 
@@ -39,7 +40,7 @@ def library() -> ModuleType:
         import pycolmap
     except ModuleNotFoundError as missing:
         raise ModuleNotFoundError(
-            "reconstructing surfaces needs pycolmap: pip install 'pugeo[evaluate]'",
+            f"reconstructing surfaces needs pycolmap: {install_hint('evaluate')}",
             name="pycolmap",
         ) from missing
     return pycolmap
@@ -79,9 +80,9 @@ def reconstruct(
             raise RuntimeError(
                 "screened Poisson reconstruction gave no surface: check that the points span one"
             )
-        vertices, faces = igl.read_triangle_mesh(str(target))
+        vertices, faces = read_mesh(target)
     if not len(faces):
         raise RuntimeError(
             "screened Poisson reconstruction gave an empty surface: check the normals"
         )
-    return vertices.astype(np.float64), faces.astype(np.int64)
+    return vertices, faces

@@ -8,20 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from pugeo_model.mesh.files import read_mesh, unit_size
 from pugeo_model.mesh.sampling import face_normals, poisson_disk, uniform
 
-__all__ = [
-    "SIZES",
-    "Shape",
-    "content_hash",
-    "default_cache",
-    "load_shape",
-    "mesh_files",
-]
+__all__ = ["SIZES", "Shape", "content_hash", "default_cache", "load_shape"]
 
 SIZES = (1024, 2048, 3500, 5000, 8000)
 """Sizes of the Poisson-disk inputs of each shape, from unresolved to resolved features."""
@@ -51,19 +44,6 @@ class Shape:
     inputs: tuple[NDArray[np.float64], ...]
 
 
-def mesh_files(folder: Path) -> list[Path]:
-    """Return the meshes of a folder, sorted by name.
-
-    Raises:
-        FileNotFoundError: the folder has no mesh.
-    """
-    kinds = {".ply", ".obj", ".off", ".stl"}
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
-    if not found:
-        raise FileNotFoundError(f"no mesh ({', '.join(sorted(kinds))}) in {folder}")
-    return found
-
-
 def content_hash(files: Iterable[Path]) -> str:
     """Compute a SHA-256 over the names and contents of files, for the model card."""
     digest = hashlib.sha256()
@@ -87,11 +67,9 @@ def load_shape(path: Path, cache: Path) -> Shape:
     """
     key = hashlib.sha256(path.read_bytes() + f"{_VERSION} {SIZES} {_POOL}".encode()).hexdigest()
     stored = cache / f"{key[:32]}.npz"
-    vertices, faces = igl.read_triangle_mesh(str(path))
-    vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
+    vertices, faces = read_mesh(path)
     if not stored.exists():
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices = (vertices - (low + high) / 2) / (high - low).max()
+        vertices = unit_size(vertices)
         rng = np.random.default_rng(int(key[:16], 16))
         arrays = {f"input_{size}": poisson_disk(vertices, faces, size, rng) for size in SIZES}
         arrays["pool"] = uniform(vertices, faces, _POOL, rng)

@@ -14,7 +14,8 @@ import matplotlib as mpl
 import torch
 
 from pugeo_model import __version__
-from pugeo_model.training.corpus import Shape, content_hash, default_cache, load_shape, mesh_files
+from pugeo_model.mesh.files import mesh_files
+from pugeo_model.training.corpus import Shape, content_hash, default_cache, load_shape
 from pugeo_model.training.patches.trainer import PatchTrainer
 from pugeo_model.training.trainer import Recipe, Trainer
 from pugeo_model.weights import save

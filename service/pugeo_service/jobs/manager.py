@@ -142,7 +142,12 @@ class JobManager:
             await asyncio.to_thread(shutil.rmtree, self._folder, ignore_errors=True)
 
     async def submit(
-        self, request: Request, query: UpsampleQuery, choice: OutputChoice, owner: str, key: str | None
+        self,
+        request: Request,
+        query: UpsampleQuery,
+        choice: OutputChoice,
+        owner: str,
+        key: str | None,
     ) -> tuple[Job, bool]:
         """Accept a job; see `Submission`."""
         self._check_ready()

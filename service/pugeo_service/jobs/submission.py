@@ -66,7 +66,12 @@ class Submission:
         self._quota = Quota(settings.jobs_queue, settings.jobs_bytes)
 
     async def __call__(
-        self, request: Request, query: UpsampleQuery, choice: OutputChoice, owner: str, key: str | None
+        self,
+        request: Request,
+        query: UpsampleQuery,
+        choice: OutputChoice,
+        owner: str,
+        key: str | None,
     ) -> tuple[Job, bool]:
         """Accept a job; once this returns, the job survives a crash of this process.
 

@@ -16,6 +16,8 @@ from fastapi.telemetry import TelemetryConfig
 from opentelemetry import trace
 from starlette.types import Scope
 
+from pugeo_model.install import install_hint
+
 __all__ = ["StageSpans", "add_trace", "configuration", "missing_extra", "tag"]
 
 _tracer = trace.get_tracer("pugeo")
@@ -31,7 +33,7 @@ def _wanted() -> bool:
 def missing_extra() -> str | None:
     """Return an installation hint if traces are configured but cannot be sent, else ``None``."""
     if _wanted() and importlib.util.find_spec("opentelemetry.exporter") is None:
-        return "OTEL_EXPORTER_OTLP_ENDPOINT is set; to send traces, pip install 'pugeo[otel]'"
+        return f"OTEL_EXPORTER_OTLP_ENDPOINT is set; to send traces, {install_hint('otel')}"
     return None
 
 

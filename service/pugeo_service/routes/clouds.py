@@ -37,7 +37,11 @@ BODY: dict[str, Any] = {
             },
             "application/json": {"schema": _POINTS},
             "text/plain": {"schema": {"type": "string"}},
-            **{kind: BINARY for kind in ACCEPTED if kind not in {"", "application/json", "text/plain"}},
+            **{
+                kind: BINARY
+                for kind in ACCEPTED
+                if kind not in {"", "application/json", "text/plain"}
+            },
         },
     }
 }

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pugeo_model.mesh.files import mesh_files
 from pugeo_model.training import corpus
-from pugeo_model.training.corpus import content_hash, default_cache, load_shape, mesh_files
+from pugeo_model.training.corpus import content_hash, default_cache, load_shape
 
 
 def test_a_shape_has_longest_side_one(shapes):

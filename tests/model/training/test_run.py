@@ -8,7 +8,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from pugeo_model.training.corpus import content_hash, mesh_files
+from pugeo_model.mesh.files import mesh_files
+from pugeo_model.training.corpus import content_hash
 from pugeo_model.training.run import licences, load_shapes, run
 from pugeo_model.training.trainer import Recipe, Trainer
 

@@ -24,7 +24,8 @@ def import_libe57() -> Any:
         from pye57 import libe57
     except ImportError as missing:
         raise UnsupportedFormatError(
-            "E57 needs the package pye57: pip install 'pugeo[e57]'.", code="missing_package"
+            "E57 needs the package pye57, which is not installed: pip install pye57.",
+            code="missing_package",
         ) from missing
     return libe57
 

@@ -60,7 +60,7 @@ def import_laspy() -> Any:
         import lazrs  # noqa: F401 - laspy takes it for LAZ, and says so late where it is missing
     except ImportError as missing:
         raise UnsupportedFormatError(
-            "LAS and LAZ need the packages laspy and lazrs: pip install 'pugeo[model]'.",
+            "LAS and LAZ need the packages laspy and lazrs: pip install 'laspy[lazrs]'.",
             code="missing_package",
         ) from missing
     return laspy

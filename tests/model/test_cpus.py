@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pugeo_service.cpus import available_cpus, cgroup_quota
+from pugeo_model.cpus import available_cpus, cgroup_quota
 
 
 def test_a_quota_of_the_second_kind(tmp_path: Path) -> None:
