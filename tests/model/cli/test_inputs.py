@@ -40,7 +40,7 @@ def test_a_folder() -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_patterns() -> None:
-    """Patterns are matched where no shell does; ** matches folders; a file's own name comes first."""
+    """Patterns are matched where no shell does; ** is any folders; a file's own name is first."""
     assert paths("scans/*.ply") == ["scans/[1].ply", "scans/a.ply"]
     assert paths("scans/**/*.xyz") == ["scans/sub/c.xyz"]
     assert paths("scans/[1].ply") == ["scans/[1].ply"]

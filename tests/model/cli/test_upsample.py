@@ -31,7 +31,7 @@ def test_a_folder_keeps_names_and_formats(pugeo: Run, scan: Run, tmp_path: Path)
 
 
 def test_one_bad_file_does_not_end_the_run(pugeo: Run, scan: Run, tmp_path: Path) -> None:
-    """A broken and a missing file are named with their reasons; the status says that some failed."""
+    """A broken and a missing file are named with their reasons, and the status is 3."""
     good, cut = scan("a.laz"), scan("b.laz")
     cut.write_bytes(cut.read_bytes()[:-200])
     out = f"{tmp_path / 'dense'}/"
@@ -132,7 +132,7 @@ def test_help_is_short_to_ask_for(pugeo: Run) -> None:
 
 @pytest.mark.slow
 def test_twelve_tiles_with_one_broken(pugeo: Run, scan: Run, tmp_path: Path) -> None:
-    """Two processes write eleven of twelve LAZ tiles; the summary and the status tell the twelfth."""
+    """Two processes write eleven of twelve LAZ tiles; summary and status tell of the twelfth."""
     tiles = [scan(f"tiles/{number:02d}.laz") for number in range(12)]
     tiles[5].write_bytes(tiles[5].read_bytes()[:300])
     out = tmp_path / "dense"
