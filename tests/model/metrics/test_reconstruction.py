@@ -68,6 +68,6 @@ def test_without_the_library(monkeypatch):
     from pugeo_model.metrics.reconstruction import library
 
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'pugeo\[evaluate\]'") as caught:
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'pugeo\[evaluate\]") as caught:
         library()
     assert caught.value.name == "pycolmap"
