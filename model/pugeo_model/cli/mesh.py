@@ -14,7 +14,7 @@ def check_library() -> None:
     """Check that meshes can be made, before the work.
 
     Raises:
-        CommandError: a library is not installed.
+        BadParameter: a library is not installed.
     """
     try:
         from pugeo_model.metrics.reconstruction import library

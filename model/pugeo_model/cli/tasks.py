@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from pugeo_model.install import install_hint
 
 __all__ = ["CommandError", "Outcome", "Settings", "Task", "label", "needed_extra"]
@@ -77,6 +79,6 @@ def label(path: Path | None) -> str:
     return "-" if path is None else str(path)
 
 
-def needed_extra(missing: ModuleNotFoundError, extra: str) -> CommandError:
+def needed_extra(missing: ModuleNotFoundError, extra: str) -> typer.BadParameter:
     """The error that a library is missing, with the extra that brings it along."""
-    return CommandError(f"this needs {missing.name}: {install_hint(extra)}")
+    return typer.BadParameter(f"this needs {missing.name}: {install_hint(extra)}")

@@ -18,7 +18,7 @@ CUBE = np.array([[x, y, z] for x in (0, 30) for y in (0, 30) for z in (0, 20)], 
 
 @pytest.fixture
 def meshes(tmp_path: Path) -> Path:
-    """A folder with a box of 30 x 30 x 20, in another place and format than the evaluation wants."""
+    """A folder with a box of 30 x 30 x 20, in another place and format than evaluated ones."""
     faces = np.array(
         [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
          [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
