@@ -22,10 +22,13 @@ from pugeo_model.errors import CloudError
 if TYPE_CHECKING:
     from pugeo_model.upsampler import Upsampler
 
-__all__ = ["run_here", "run_in_processes"]
+__all__ = ["MOST_PROCESSES", "run_here", "run_in_processes"]
 
 Progress = Callable[[str, float], None]
 """Called with a text and the completed fraction of the bytes of all tasks."""
+
+MOST_PROCESSES = 61
+"""Processes that Windows can wait for at once."""
 
 _POLL_S = 0.5
 

@@ -129,7 +129,7 @@ def _run(
         service = connect(url, as_jobs=jobs)
         yield from run_remotely(service, tasks, remote, workers or _REQUESTS, display.update)
         return
-    from pugeo_model.cli.local import run_here, run_in_processes
+    from pugeo_model.cli.local import MOST_PROCESSES, run_here, run_in_processes
     from pugeo_model.cpus import available_cpus
     from pugeo_model.kernel_cache import compile_kernels
     from pugeo_model.weights import locate
@@ -138,7 +138,7 @@ def _run(
     compile_kernels(say)
     # A process takes some seconds to start, which it must have work for.
     worth = 1 + sum(task.size for task in tasks) // _BYTES_PER_PROCESS
-    count = min(workers or min(available_cpus(), worth), len(tasks))
+    count = min(workers or min(available_cpus(), worth), len(tasks), MOST_PROCESSES)
     if count == 1:
         yield from run_here(tasks, settings, display.update)
     else:

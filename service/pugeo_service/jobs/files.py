@@ -131,7 +131,8 @@ class JobFiles:
 def _make_private(folder: Path) -> None:
     """Make a folder; refuse one of another user in a shared folder such as /tmp."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    shared = folder.parent.stat().st_mode & stat.S_ISVTX
+    # Windows has no such folders, and no numbers of users.
+    shared = hasattr(os, "geteuid") and folder.parent.stat().st_mode & stat.S_ISVTX
     if shared and (folder.is_symlink() or folder.stat().st_uid != os.geteuid()):
         raise PermissionError(errno.EPERM, "it belongs to another user", str(folder))
 

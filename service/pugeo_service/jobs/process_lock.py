@@ -3,16 +3,21 @@
 
 Each process holds a lock on its own file. The kernel releases it when the process ends for any
 reason, so its jobs can be taken over at once, but never while a slow or paused process still runs,
-so no job runs twice at one time. Leases with a time limit guarantee neither.
+so no job runs twice at one time. Leases with a time limit guarantee neither. Where the system has
+no such locks, the file names the process, and its number tells whether it runs.
 """
 
-import fcntl
-import os
 import secrets
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 __all__ = ["ProcessLock"]
+
+_ACQUIRE_S = 5.0  # another process may hold the lock for a moment, to see whether this one runs
+_PROBE_S = 0.05
 
 
 class ProcessLock:
@@ -28,7 +33,7 @@ class ProcessLock:
     def __init__(self, folder: Path) -> None:
         self.name = secrets.token_hex(12)
         self._folder = folder / "runners"
-        self._descriptor: int | None = None
+        self._lock = self._lock_of(self.name)
 
     def acquire(self) -> None:
         """Acquire the lock. Idempotent.
@@ -36,46 +41,28 @@ class ProcessLock:
         Raises:
             OSError: the folder is not writable.
         """
-        if self._descriptor is not None:
-            return
-        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Locked before it has its final name: another process removes unlocked files.
-        making = self._folder / f".{self.name}"
-        descriptor = os.open(making, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            making.rename(self._folder / self.name)
-        except OSError:
-            os.close(descriptor)
-            making.unlink(missing_ok=True)
-            raise
-        self._descriptor = descriptor
+        if not self._lock.is_locked:
+            self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._lock.acquire(timeout=_ACQUIRE_S)
 
     def release(self) -> None:
         """Release the lock. Idempotent."""
-        if self._descriptor is not None:
-            (self._folder / self.name).unlink(missing_ok=True)
-            os.close(self._descriptor)
-            self._descriptor = None
+        if self._lock.is_locked:
+            self._remove(self._lock)
 
     def is_alive(self, name: str) -> bool:
         """Whether the process of a name runs; the file of an ended process is removed."""
         if name == self.name:
             return True
-        path = self._folder / name
-        try:
-            descriptor = os.open(path, os.O_RDWR)
-        except (FileNotFoundError, IsADirectoryError):
+        if not (self._folder / name).is_file():
             return False
+        probe = self._lock_of(name)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            probe.acquire(timeout=_PROBE_S, poll_interval=_PROBE_S / 2)
+        except Timeout:
             return True
-        else:
-            path.unlink(missing_ok=True)
-            return False
-        finally:
-            os.close(descriptor)
+        self._remove(probe)
+        return False
 
     def ended(self, names: Iterable[str]) -> list[str]:
         """Return the names of ended processes among ``names``."""
@@ -86,3 +73,19 @@ class ProcessLock:
         """Whether no other process uses the folder."""
         others = [path.name for path in self._folder.iterdir() if not path.name.startswith(".")]
         return not [name for name in others if name != self.name and self.is_alive(name)]
+
+    def _lock_of(self, name: str) -> FileLock:
+        # Threads of one process take turns with it.
+        return FileLock(self._folder / name, thread_local=False)
+
+    @staticmethod
+    def _remove(lock: FileLock) -> None:
+        """Release a lock and remove its file; a name is never used again."""
+        path = Path(lock.lock_file)
+        # While it is held, so that a process that has just made the file sees that it is gone.
+        # Windows removes no open file.
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
+        lock.release()
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)

@@ -100,7 +100,10 @@ class AtomicFile(BufferedWriter):
 
 def _sync_folder(folder: Path) -> None:
     """Write the entry of a new file to disk; fsync of the file alone does not include it."""
-    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:  # Windows opens no folders; its file system keeps a journal
+        return
     try:
         os.fsync(descriptor)
     finally:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 __all__ = ["NOWHERE", "SharedFile", "shared_file"]
 
 _TOKEN = 16  # random bytes at the start of the file, which identify it
+_NEEDED = ("pread", "pwrite", "O_CLOEXEC", "O_NONBLOCK")  # of the system; Windows lacks them
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,10 @@ class SharedFile:
 
         Returns:
             True if all were written. If not, previous bytes at that place may be overwritten.
+            False where the system has no ``/proc``, or cannot write at a place of an open file.
         """
+        if not all(hasattr(os, name) for name in _NEEDED):
+            return False
         try:
             # O_NONBLOCK: the path may by now name a pipe without a reader.
             descriptor = os.open(self.path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
