@@ -107,6 +107,9 @@ WRITABLE: dict[str, Format] = {
 
 BY_ROWS: dict[str, ByRows] = {"ply": ply, "ply-ascii": ply_ascii, "xyz": xyz, "pcd": pcd}
 
+_WITH_VIEWPOINTS = frozenset({"e57", "pcd", "ptx"})
+_WITH_CRS = frozenset({"e57", "las", "laz"})
+
 HEAD_BYTES = 4096
 """Leading bytes of a file from which its format is recognised."""
 
@@ -216,6 +219,10 @@ def dropped(cloud: Cloud, format: str) -> str | None:
     """
     module = WRITABLE[format]
     names: list[str] = module.drops(cloud) if hasattr(module, "drops") else []
+    if cloud.viewpoints is not None and format not in _WITH_VIEWPOINTS:
+        names.append("viewpoints")
+    if cloud.source is not None and cloud.source.crs and format not in _WITH_CRS:
+        names.append("the coordinate reference system")
     return f"Not written, since {format} has no room for it: {', '.join(names)}." if names else None
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pugeo_service.engine.backend import quick
 from pugeo_service.engine.messages import AgreementInfo, OutputInfo
@@ -59,6 +59,7 @@ def agree(prepared: Prepared, borders: Sequence[Opaque[Border]], format: str) ->
         format: of the answer.
     """
     from pugeo_model.assembly import agree as agree_on
+    from pugeo_model.formats import dropped
 
     start = time.perf_counter()
     plan = prepared.plan
@@ -66,7 +67,7 @@ def agree(prepared: Prepared, borders: Sequence[Opaque[Border]], format: str) ->
     assert plan.noise is not None
     tiles = agree_on([known.value for known in borders])
     seconds = {"finish": time.perf_counter() - start}
-    report = plan.final_report(plan.noise)
+    report = _with_note(plan.final_report(plan.noise), dropped(plan.cloud, format))
     return TileAgreements(tiles, plan.n_out, format, report, seconds)
 
 
@@ -122,9 +123,13 @@ def written(
         buffer = io.BytesIO()
         formats.write(result.cloud, buffer, format=format)
         data = np.frombuffer(buffer.getbuffer(), np.uint8)
-    note = formats.dropped(result.cloud, format)
-    notes = [*result.report["notes"], *([note] if note else [])]
-    return Output(data, {**result.report, "notes": notes}, times.seconds, batches)
+    report = _with_note(result.report, formats.dropped(result.cloud, format))
+    return Output(data, report, times.seconds, batches)
+
+
+def _with_note(report: dict[str, Any], note: str | None) -> dict[str, Any]:
+    """Add a note to those of a report, if there is one."""
+    return report if note is None else {**report, "notes": [*report["notes"], note]}
 
 
 @quick

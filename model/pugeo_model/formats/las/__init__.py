@@ -29,6 +29,4 @@ def drops(cloud: Cloud) -> list[str]:
     found = []
     if cloud.colors is not None and cloud.colors.shape[1] == 4:
         found.append("alpha")
-    if cloud.viewpoints is not None:
-        found.append("viewpoints")
     return found
