@@ -9,7 +9,6 @@ import json
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
 
 import structlog
 from fastapi import FastAPI
@@ -80,20 +79,23 @@ def create_service(settings: Settings) -> Service:
 
 
 def create_app(
-    settings: Settings | None = None, on_fatal: Callable[[], object] = lambda: None
+    settings: Settings | None = None,
+    on_fatal: Callable[[], object] = lambda: None,
+    on_ready: Callable[[], object] = lambda: None,
 ) -> FastAPI:
     """Make the application.
 
     Args:
         settings: settings; from the environment by default.
         on_fatal: called if the engine cannot start, because no request could be served.
+        on_ready: called once the engine has started.
     """
     service = create_service(settings or Settings())
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # In the background, so that probes are answered while the model is loading.
-        starting = asyncio.create_task(_start(service, on_fatal))
+        starting = asyncio.create_task(_start(service, on_fatal, on_ready))
         releasing = asyncio.create_task(_release_memory())
         await service.jobs.start()
         yield
@@ -132,7 +134,9 @@ def create_app(
     return app
 
 
-async def _start(service: Service, on_fatal: Callable[[], Any]) -> None:
+async def _start(
+    service: Service, on_fatal: Callable[[], object], on_ready: Callable[[], object]
+) -> None:
     try:
         await service.engine.start()
     except Exception:  # noqa: BLE001 - logged, and the process ends
@@ -140,6 +144,7 @@ async def _start(service: Service, on_fatal: Callable[[], Any]) -> None:
         on_fatal()
         return
     _log.info("ready", workers=service.engine.status.workers, model=service.card["name"])
+    on_ready()
 
 
 async def _release_memory() -> None:

@@ -87,20 +87,26 @@ def main(given: dict[str, Any]) -> int:
 def serve(settings: Settings) -> int:
     """Serve until a signal ends it; return the exit status of the process.
 
-    The address is printed on stdout, because port 0 selects a free port.
+    The address is printed on stdout at once, because port 0 selects a free port, and once more when
+    requests are served.
     """
     if hint := tracing.missing_extra():
         sys.stderr.write(hint + "\n")
         return 2
     logs.configure(settings.log_format, settings.log_level)
     server: _Server | None = None
+    address = ""
+
+    def on_ready() -> None:
+        sys.stdout.write(f"ready: {address}\n")
+        sys.stdout.flush()
 
     def on_fatal() -> None:
         if server is not None:
             server.fail()
 
     try:
-        app = create_app(settings, on_fatal)
+        app = create_app(settings, on_fatal, on_ready)
     except CloudError as error:
         sys.stderr.write(f"model: {error.message}\n")
         return 2
@@ -129,7 +135,8 @@ def serve(settings: Settings) -> int:
         server = _Server(config, service, settings.drain_delay_s)
         port = listener.getsockname()[1]
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
-        sys.stdout.write(f"pugeo serves http://{host}:{port}\n")
+        address = f"http://{host}:{port}"
+        sys.stdout.write(f"pugeo serves {address}\n")
         sys.stdout.flush()
         server.run(sockets=[listener])
     return 1 if server.failed else 0

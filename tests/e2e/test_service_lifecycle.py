@@ -257,3 +257,10 @@ def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> Non
         answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
         assert answer.status_code == 200, answer.text
         assert front.stop() == 0
+
+
+def test_it_says_when_it_is_ready(launch: Any) -> None:
+    """The second line on stdout has the address, and comes when a request would be served."""
+    with launch("--engine", "inline") as server:
+        assert server.process.stdout.readline() == f"ready: {server.url}\n"
+        assert httpx2.get(f"{server.url}/health/ready").status_code == 200

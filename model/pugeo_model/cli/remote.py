@@ -15,13 +15,11 @@ __all__ = ["RemoteService", "connect", "run_remotely"]
 
 
 class RemoteService(Protocol):
-    """A service, as the entry point ``client`` of the group ``pugeo.services`` gives it.
+    """A service, as the entry point ``client`` of the group ``pugeo.services`` gives it."""
 
-    Attributes:
-        Error: base class of the errors of its calls; their texts are for people.
-    """
-
-    Error: type[Exception]
+    @property
+    def Error(self) -> type[Exception]:  # noqa: N802 - a class
+        """Base class of the errors of its calls; their texts are for people."""
 
     def upsample(
         self,

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import UntreatableCloudError
+from pugeo_model.geometry.neighbours import SPACING_NEIGHBOURS, knn
 from pugeo_model.metrics.reconstruction import DEPTH, Mesh, reconstruct
 from pugeo_model.normalise import normalise
 
@@ -26,7 +27,6 @@ Three closed shapes lose no face at it. Of their halves 0.2 to 1.6 % of the area
 of the size off the true surface, uncut 17 to 33 % (5,000 points at R = 4)."""
 
 _SHALLOWEST = 6
-_SPACING_NEIGHBOURS = 8
 
 
 def surface_of(cloud: Cloud, near: float = NEAR) -> Mesh:
@@ -63,7 +63,7 @@ def surface_of(cloud: Cloud, near: float = NEAR) -> Mesh:
 
 
 def _spacing(tree: cKDTree) -> float:
-    distances = tree.query(tree.data, k=_SPACING_NEIGHBOURS + 1)[0]
+    distances, _ = knn(tree, tree.data, SPACING_NEIGHBOURS + 1)
     return float(np.median(distances[:, 1:].mean(axis=1)))
 
 
