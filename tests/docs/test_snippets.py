@@ -26,6 +26,8 @@ ROOT = Path(__file__).resolve().parents[2]
 RUNNABLE = [page for page in pages(ROOT) if any(s.language in RUN for s in snippets(page, ROOT))]
 # Installs and containers are too much for a test: what they name is looked up instead.
 LOOKED_UP = re.compile(r"(make|docker|pip install|\. \.venv/bin/activate)\b")
+# Lines of progress, which a busy machine has more of.
+PROGRESS = re.compile(r"^[\w ]+: \d+%(, about \d+ \w+ left)?\n", re.MULTILINE)
 # curl is silent about an error's status unless told otherwise.
 PRELUDE = 'set -euo pipefail; curl() { command curl --fail-with-body "$@"; }\n'
 
@@ -89,7 +91,7 @@ class Page:
         key = re.search(r"The key, which is shown only once: (\S+)", done.stdout)
         if key:
             self.environment["PUGEO_API_KEY"] = key[1]
-        return done.stdout
+        return PROGRESS.sub("", done.stdout)
 
 
 def logical_lines(code: str) -> list[str]:

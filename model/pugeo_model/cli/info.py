@@ -148,7 +148,7 @@ def _measured(plan: "Plan", noise: float) -> dict[str, Any]:
 
 
 def _work(plan: "Plan", noise: float) -> dict[str, Any]:
-    """What upsampling would do."""
+    """The work of upsampling, as it is planned."""
     from pugeo_model.formats import output_format
     from pugeo_model.tuning import TUNING
 
