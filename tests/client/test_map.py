@@ -62,19 +62,19 @@ def test_a_failure_is_yielded_in_its_place(
 
 
 def test_a_folder_of_files(run_client: ClientRunner, service: Any, tmp_path: Path) -> None:
-    """Each source gets a file of its own name; the folder is made."""
-    for name in ("a.ply", "b.laz", "bad.ply"):
+    """Each source gets a file of its own name, and format if that is written, in a new folder."""
+    for name in ("a.laz", "b.obj", "bad.ply"):
         (tmp_path / name).write_bytes(name.split(".")[0].encode())
     opened = io.BytesIO(b"opened")
     opened.name = "scans/c.xyz.ply"
     out = tmp_path / "dense" / "here"
-    sources = [tmp_path / "a.ply", str(tmp_path / "b.laz"), tmp_path / "bad.ply", opened, b"raw"]
+    sources = [tmp_path / "a.laz", str(tmp_path / "b.obj"), tmp_path / "bad.ply", opened, b"raw"]
     results = run_client(lambda client: client.map(sources, out=out, concurrency=2), service)
     assert [path.name for path in sorted(out.iterdir())] == [
-        "a.ply", "b.ply", "c.xyz.ply", "cloud-000004.ply"
+        "a.laz", "b.ply", "c.xyz.ply", "cloud-000004.ply"
     ]  # fmt: skip
     assert [getattr(result, "path", None) for result in results] == [
-        out / "a.ply", out / "b.ply", None, out / "c.xyz.ply", out / "cloud-000004.ply"
+        out / "a.laz", out / "b.ply", None, out / "c.xyz.ply", out / "cloud-000004.ply"
     ]  # fmt: skip
     assert [results[0].meta.request_id, results[1].meta.request_id] == ["a", "b"]
 
