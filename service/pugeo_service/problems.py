@@ -49,6 +49,14 @@ _CODE = {
     422: "bad_option",
 }
 _RETRYABLE = frozenset({408, 429, 503, 504})
+# Limit in an error of the model -> the setting that raises it.
+_SETTINGS = {
+    "max_points": "PUGEO_MAX_POINTS",
+    "max_bytes": "PUGEO_MAX_CLOUD_BYTES",
+    "max_output_points": "PUGEO_MAX_OUTPUT_POINTS",
+    "max_output_bytes": "PUGEO_MAX_OUTPUT_BYTES",
+    "worker_memory": "PUGEO_WORKER_MEMORY",
+}
 
 PROBLEM_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -114,7 +122,11 @@ class ProblemError(Exception):
     def from_cloud_error(cls, error: CloudError) -> "ProblemError":
         """Convert an error of the model."""
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
-        return cls(status, error.code, error.message, fields=error.fields)
+        setting = _SETTINGS.get(error.fields.get("name", ""))
+        if setting is None:
+            return cls(status, error.code, error.message, fields=error.fields)
+        detail = f"{error.message} The service allows more with a larger {setting}."
+        return cls(status, error.code, detail, fields={**error.fields, "setting": setting})
 
     def members(self, instance: str, request_id: str) -> dict[str, Any]:
         """Return the members of the problem document.

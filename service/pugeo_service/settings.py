@@ -63,7 +63,13 @@ class Settings(BaseSettings):
 
     max_body_bytes: Annotated[int, Field(ge=1)] = 256 * MIB
     max_points: Annotated[int, Field(ge=1)] = 5_000_000
+    max_cloud_bytes: Annotated[
+        int, Field(ge=1, description="maximum bytes of an input with all attributes, unpacked")
+    ] = 512 * MIB
     max_output_points: Annotated[int, Field(ge=1)] = 20_000_000
+    max_output_bytes: Annotated[
+        int, Field(ge=1, description="maximum bytes of the points of an answer with all attributes")
+    ] = 2048 * MIB
     queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
         4096
     )

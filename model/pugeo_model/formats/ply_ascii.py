@@ -7,9 +7,19 @@ from typing import IO
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import ply
-from pugeo_model.formats.ply import read
+from pugeo_model.formats.ply import declared, read
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
+__all__ = [
+    "EXTENSIONS",
+    "MEDIA_TYPES",
+    "NAME",
+    "declared",
+    "head",
+    "read",
+    "rows",
+    "sniff",
+    "write",
+]
 
 NAME = "ply-ascii"
 EXTENSIONS: tuple[str, ...] = ()

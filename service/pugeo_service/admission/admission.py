@@ -114,7 +114,10 @@ class Admission:
         excess = now.patches + patches - self.max_patches
         # If requests or bytes are exhausted and not patches, one request must end first.
         wait = self.throughput.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
-        detail = "The queue is full; try again after the time in Retry-After."
+        detail = (
+            "The queue is full (PUGEO_QUEUE_PATCHES, PUGEO_QUEUE_BYTES, PUGEO_QUEUE_REQUESTS); try "
+            "again after the time in Retry-After."
+        )
         fields = {
             "queued_patches": now.patches,
             "capacity_patches": self.max_patches,

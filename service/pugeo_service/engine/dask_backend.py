@@ -92,6 +92,7 @@ class DaskBackend:
         self._client: Any = None
         self._poll: asyncio.Task[None] | None = None
         self._workers: frozenset[str] = frozenset()
+        self.worker_memory: int | None = None
         self.lost_workers = 0
         self.retried_patches = 0
         # Distinguishes the tasks of this front from those of others at the same scheduler.
@@ -273,6 +274,8 @@ class DaskBackend:
             # Without a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
         )
+        limits = [worker.get("memory_limit") for worker in identity["workers"].values()]
+        self.worker_memory = min((limit for limit in limits if limit), default=None)
         self.lost_workers += len(self._workers - workers)
         self._workers = workers
         if self._cluster is not None:

@@ -84,6 +84,10 @@ class JobFiles:
         """Start writing the result of a job."""
         return AtomicFile(self._parts / f"{self._writer}.{job_id}.out", self._results / job_id)
 
+    def input_path(self, job_id: str) -> Path:
+        """Return the path of the input of a job, which may not exist."""
+        return self._inputs / job_id
+
     def input(self, job_id: str, size: int, sha256: str) -> StoredInput:
         """Return the input of a job."""
         return StoredInput(self._inputs / job_id, size, sha256)

@@ -98,7 +98,7 @@ async def _serve(
         except DeadlinePassedError as error:
             service.telemetry.cancelled.labels("deadline").inc()
             detail = f"The request took longer than {deadline.description}."
-            fields = {"limit": deadline.seconds}
+            fields = {"limit": deadline.seconds, "setting": "PUGEO_DEADLINE_S"}
             raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
 

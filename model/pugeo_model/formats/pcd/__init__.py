@@ -7,13 +7,24 @@ from typing import IO
 import numpy as np
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.pcd.encode import body, head
 from pugeo_model.formats.pcd.fields import cloud_of
 from pugeo_model.formats.pcd.header import read_header, sniff
 from pugeo_model.formats.pcd.rows import read_columns
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "drops", "head", "read", "rows", "sniff", "write"]
+__all__ = [
+    "EXTENSIONS",
+    "MEDIA_TYPES",
+    "NAME",
+    "declared",
+    "drops",
+    "head",
+    "read",
+    "rows",
+    "sniff",
+    "write",
+]
 
 NAME = "pcd"
 EXTENSIONS: tuple[str, ...] = (".pcd",)
@@ -40,6 +51,20 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     """
     header = read_header(file, limits)
     return cloud_of(header, read_columns(file, header, limits))
+
+
+def declared(file: IO[bytes], limits: Limits) -> Declared:
+    """Return the size of a cloud as the header states it.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: bounds of the header and of the number of points.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    header = read_header(file, limits)
+    return Declared(header.points, header.row_bytes)
 
 
 def write(cloud: Cloud, file: IO[bytes]) -> None:
