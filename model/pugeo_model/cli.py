@@ -166,8 +166,13 @@ def train(
     """Train on a folder of meshes; a run in the same folder is resumed exactly."""
     from dataclasses import replace
 
-    from pugeo_model.training.recipes import read_recipe, with_ratio
-    from pugeo_model.training.run import load_shapes, run
+    try:
+        from pugeo_model.training.recipes import read_recipe, with_ratio
+        from pugeo_model.training.run import load_shapes, run
+    except ModuleNotFoundError as missing:
+        raise typer.BadParameter(
+            f"this needs {missing.name}, which comes with: pip install 'pugeo[train]'"
+        ) from missing
 
     chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads, "start": start}
     wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})

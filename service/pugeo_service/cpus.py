@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Number of processors that this process may use."""
+"""Processors and memory that this process may use."""
 
 import math
 import os
 from pathlib import Path
 
-__all__ = ["available_cpus", "cgroup_quota"]
+__all__ = ["all_memory", "available_cpus", "cgroup_quota"]
 
 _CGROUP = Path("/sys/fs/cgroup")
 
@@ -39,3 +39,10 @@ def available_cpus(root: Path = _CGROUP) -> int:
     quota = cgroup_quota(root)
     count = affinity or 1
     return max(1, count if quota is None else min(count, math.ceil(quota)))
+
+
+def all_memory() -> int:
+    """Return the bytes of memory that all processes together may use, as Dask counts them."""
+    from distributed.system import MEMORY_LIMIT
+
+    return MEMORY_LIMIT

@@ -3,6 +3,7 @@
 
 import asyncio
 import contextlib
+import os
 import signal
 import socket
 import sys
@@ -15,13 +16,13 @@ import uvicorn
 from prometheus_client import start_http_server
 from pydantic import ValidationError
 
-from pugeo_model.errors import CloudError
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.settings import Settings
+from pugeo_service.preflight import unfit_machine, unfit_weights
+from pugeo_service.settings import Settings, explain, unknown_names
 
 __all__ = ["main", "serve"]
 
@@ -76,9 +77,8 @@ def main(given: dict[str, Any]) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        for entry in error.errors():
-            name = ".".join(map(str, entry["loc"])) or "settings"
-            sys.stderr.write(f"{name}: {entry['msg']}\n")
+        for line in explain(error):
+            sys.stderr.write(line + "\n")
         return 2
     return serve(settings)
 
@@ -88,21 +88,19 @@ def serve(settings: Settings) -> int:
 
     The address is printed on stdout, because port 0 selects a free port.
     """
-    if hint := tracing.missing_extra():
-        sys.stderr.write(hint + "\n")
+    if problem := tracing.missing_extra() or unfit_machine(settings) or unfit_weights(settings):
+        sys.stderr.write(problem + "\n")
         return 2
     logs.configure(settings.log_format, settings.log_level)
+    for name, similar in unknown_names(os.environ).items():
+        _log.warning("this setting does not exist", name=name, similar=similar)
     server: _Server | None = None
 
     def on_fatal() -> None:
         if server is not None:
             server.fail()
 
-    try:
-        app = create_app(settings, on_fatal)
-    except CloudError as error:
-        sys.stderr.write(f"model: {error.message}\n")
-        return 2
+    app = create_app(settings, on_fatal)
     config = uvicorn.Config(
         app,
         host=settings.host,
