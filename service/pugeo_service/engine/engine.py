@@ -6,6 +6,7 @@ is, the loop that answers requests and probes is not.
 """
 
 import asyncio
+import subprocess
 import threading
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
@@ -70,6 +71,8 @@ class Engine:
         self._policy = SchedulingPolicy(lambda: self._backend.warm_workers)
         self._proven = False
         self._retried = 0
+        self._compiling: subprocess.Popen[str] | None = None
+        self._stopping = False
 
     async def start(self) -> None:
         """Start the workers; return once a small request of our own succeeded."""
@@ -78,13 +81,16 @@ class Engine:
         self._thread.start()
         if self._settings.scheduler is None:
             # Once here, and not once in each worker.
-            await asyncio.to_thread(compile_kernels, _log.info)
+            await asyncio.to_thread(compile_kernels, _log.info, self._compiles)
         await self._call(self._backend.start())
         await self._call(self._self_test())
         self._proven = True
 
     async def stop(self) -> None:
         """End the workers and the thread."""
+        self._stopping = True
+        if self._compiling is not None:
+            self._compiling.kill()
         if self._loop is None or self._thread is None:
             return
         await self._call(self._backend.stop())
@@ -132,6 +138,12 @@ class Engine:
             lambda stage: here.call_soon_threadsafe(on_stage, stage),
         )
         return await self._call(self._run(body, request, progress))
+
+    def _compiles(self, process: "subprocess.Popen[str]") -> None:
+        """Keep the process that compiles kernels, in whose thread this is called."""
+        self._compiling = process
+        if self._stopping:
+            process.kill()
 
     async def _self_test(self) -> None:
         request = self_test_request(self._settings.model, self._settings.deadline_s)
