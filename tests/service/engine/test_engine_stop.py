@@ -24,6 +24,7 @@ def test_a_stop_ends_the_compilation_of_kernels(
         engine = Engine(Settings(spool_dir=tmp_path))
         starting = asyncio.create_task(engine.start())
         while engine._compiling is None:
+            assert not starting.done()
             await asyncio.sleep(0.01)
         starting.cancel()
         with contextlib.suppress(asyncio.CancelledError):
