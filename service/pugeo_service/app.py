@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import structlog
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from pugeo_model import weights
@@ -23,7 +23,9 @@ from pugeo_service.container import Service
 from pugeo_service.engine import Engine
 from pugeo_service.http import openapi
 from pugeo_service.http.auth import RequireKey
+from pugeo_service.http.head_requests import AnswerHead
 from pugeo_service.http.middleware import RequestContext
+from pugeo_service.http.query_names import check_query
 from pugeo_service.http.security_headers import CORS
 from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
@@ -118,14 +120,18 @@ def create_app(
     )
     app.state.service = service
     problems.install(app)
-    # The last one added is the outermost. CORS is outside of keys: a preflight has no key.
+    # The last one added is the outermost.
+    app.add_middleware(AnswerHead)
+    # CORS is outside of keys: a preflight has no key.
     if service.keys.required:
         app.add_middleware(RequireKey, keys=service.keys, telemetry=service.telemetry)
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, job_routes, models, health, docs, page):
-        app.include_router(module.router)
+    for module in (upsample, job_routes, models):
+        app.include_router(module.router, dependencies=[Depends(check_query)])
+    for other in (health, docs, page):
+        app.include_router(other.router)
     if service.settings.metrics_port is None:
         app.include_router(metrics.router)
     openapi.install(app)

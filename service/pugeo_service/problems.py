@@ -201,7 +201,9 @@ def _allowed(app: FastAPI, scope: Mapping[str, Any], found: str) -> str:
     """Return all methods of a path; the framework reports those of one route only."""
     path = getattr(scope.get("route"), "path", None)
     described = {method.upper() for method in app.openapi()["paths"].get(path, ())}
-    return ", ".join(sorted({*described, *found.replace(",", " ").split()}))
+    methods = {*described, *found.replace(",", " ").split()}
+    # HEAD is answered wherever GET is: see `http.head_requests`.
+    return ", ".join(sorted(methods | {"HEAD"} if "GET" in methods else methods))
 
 
 def _invalid(error: RequestValidationError) -> ProblemError:

@@ -7,13 +7,14 @@ from typing import IO
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import ply
-from pugeo_model.formats.ply import declared, read
+from pugeo_model.formats.ply import declared, drops, read
 
 __all__ = [
     "EXTENSIONS",
     "MEDIA_TYPES",
     "NAME",
     "declared",
+    "drops",
     "head",
     "read",
     "rows",

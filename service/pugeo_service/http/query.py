@@ -5,7 +5,6 @@ import math
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 __all__ = ["UpsampleQuery"]
 
@@ -61,22 +60,6 @@ class UpsampleQuery(BaseModel):
         str | None,
         Field(description="ply, ply-ascii, npz, json or xyz; has priority over Accept."),
     ] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known(cls, given: Any) -> Any:
-        unknown = sorted(set(given) - set(cls.model_fields)) if isinstance(given, dict) else []
-        if unknown:
-            raise PydanticCustomError(
-                "unknown_option",
-                "there is no option {parameter}; there are {names}",
-                {
-                    "parameter": unknown[0][:80],
-                    "names": ", ".join(cls.model_fields),
-                    "allowed": list(cls.model_fields),
-                },
-            )
-        return given
 
     @field_validator("viewpoint")
     @classmethod

@@ -19,7 +19,7 @@ from pugeo_service.jobs.database import Database, unavailable
 from pugeo_service.jobs.execution import Execution
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.maintenance import Maintenance
-from pugeo_service.jobs.models import Job, State
+from pugeo_service.jobs.models import Job, State, is_id
 from pugeo_service.jobs.process_lock import ProcessLock
 from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.jobs.runner import Runner
@@ -160,6 +160,7 @@ class JobManager:
             ProblemError: 404, or 503 if the database cannot be used.
         """
         self._check_ready()
+        _check_id(job_id)
         job = await self._database.read(repository.find, job_id, owner)
         if job is None:
             raise _unknown_job(job_id)
@@ -168,8 +169,14 @@ class JobManager:
     async def page(
         self, owner: str, state: State | None, before: str | None, limit: int
     ) -> tuple[list[Job], str | None]:
-        """List jobs, newest first; return them with the cursor of the next page, if any."""
+        """List jobs, newest first; return them with the cursor of the next page, if any.
+
+        Raises:
+            ProblemError: 404 for a cursor of another form, or 503 if the database cannot be used.
+        """
         self._check_ready()
+        if before is not None:
+            _check_id(before)
         found = await self._database.read(repository.list_page, owner, state, before, limit + 1)
         more = len(found) > limit
         return found[:limit], found[limit - 1].id if more else None
@@ -181,6 +188,7 @@ class JobManager:
             ProblemError: 404, or 503 if the database cannot be used.
         """
         self._check_ready()
+        _check_id(job_id)
         now = time.time()
         expires_at = now + self._settings.jobs_ttl_s
         found = await self._database.write(repository.withdraw, job_id, owner, now, expires_at)
@@ -228,6 +236,12 @@ class JobManager:
     def _check_ready(self) -> None:
         if not self._ready:
             raise unavailable("folder or database error")
+
+
+def _check_id(text: str) -> None:
+    """Refuse an id or cursor of another form: PostgreSQL has no NUL, so it must not see one."""
+    if not is_id(text):
+        raise _unknown_job(text)
 
 
 def _unknown_job(job_id: str) -> ProblemError:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs as values, and their table, in SQL that SQLite and PostgreSQL both support."""
 
+import re
 import secrets
 import time
 from collections.abc import Mapping
@@ -20,10 +21,11 @@ from sqlalchemy import (
     UniqueConstraint,
 )
 
-__all__ = ["ACTIVE", "FINAL", "Job", "State", "Success", "jobs", "metadata", "new_id"]
+__all__ = ["ACTIVE", "FINAL", "Job", "State", "Success", "is_id", "jobs", "metadata", "new_id"]
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "expired"]
 ACTIVE: tuple[State, ...] = ("queued", "running")
+_ID = re.compile("[0-9a-f]{32}")
 FINAL: tuple[State, ...] = ("succeeded", "failed", "cancelled", "expired")
 
 
@@ -33,6 +35,11 @@ def new_id() -> str:
     Ids sort by age, so lists need no second column for paging, and cannot be guessed.
     """
     return f"{time.time_ns() // 1_000_000:012x}{secrets.token_hex(10)}"
+
+
+def is_id(text: str) -> bool:
+    """Return whether a text has the form of `new_id`."""
+    return _ID.fullmatch(text) is not None
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ async def submit(
     return JobResponse.from_job(job)
 
 
-@router.get("", operation_id="list_jobs", responses=problem_responses(401, 422, 503))
+@router.get("", operation_id="list_jobs", responses=problem_responses(401, 404, 422, 503))
 async def list_jobs(
     request: Request,
     service: ServiceDep,
@@ -101,7 +101,7 @@ async def list_jobs(
     return JobPage(jobs=[JobResponse.from_job(job) for job in jobs], next=following)
 
 
-@router.get("/{job_id}", operation_id="get_job", responses=problem_responses(401, 404, 503))
+@router.get("/{job_id}", operation_id="get_job", responses=problem_responses(401, 404, 422, 503))
 async def get_job(
     job_id: JobId, request: Request, response: Response, service: ServiceDep
 ) -> JobResponse:
@@ -121,7 +121,7 @@ async def get_job(
             "description": "Events `state`, `progress` and, at the end, `end`.",
             "content": {"text/event-stream": {}},
         },
-        **problem_responses(401, 404, 503),
+        **problem_responses(401, 404, 422, 503),
     },
 )
 async def events(
@@ -142,6 +142,9 @@ async def events(
     return EventSourceResponse(body(), headers={"Cache-Control": "no-store"})
 
 
+@router.get(
+    "/{job_id}/result", operation_id="job_result", response_class=Response, responses=_RESULT
+)
 async def result(job_id: JobId, request: Request, service: ServiceDep) -> Response:
     """Return the dense cloud of a job; supports ETag, Range and If-Range."""
     job = await service.jobs.get(job_id, owner_of(request))
@@ -149,14 +152,9 @@ async def result(job_id: JobId, request: Request, service: ServiceDep) -> Respon
     return await asyncio.to_thread(result_response, request, job, service.jobs.files.result(job_id))
 
 
-# HEAD returns the size, which download managers need.
-router.get(
-    "/{job_id}/result", operation_id="job_result", response_class=Response, responses=_RESULT
-)(result)
-router.head("/{job_id}/result", include_in_schema=False)(result)
-
-
-@router.delete("/{job_id}", operation_id="delete_job", responses=problem_responses(401, 404, 503))
+@router.delete(
+    "/{job_id}", operation_id="delete_job", responses=problem_responses(401, 404, 422, 503)
+)
 async def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> JobResponse:
     """Cancel an active job, or delete the result of a finished one. Idempotent."""
     return JobResponse.from_job(await service.jobs.withdraw(job_id, owner_of(request)))

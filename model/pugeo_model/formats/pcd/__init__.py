@@ -12,6 +12,7 @@ from pugeo_model.formats.pcd.encode import body, head
 from pugeo_model.formats.pcd.fields import cloud_of
 from pugeo_model.formats.pcd.header import read_header, sniff
 from pugeo_model.formats.pcd.rows import read_columns
+from pugeo_model.formats.ply.encode import rounded
 
 __all__ = [
     "EXTENSIONS",
@@ -81,7 +82,7 @@ def rows(cloud: Cloud) -> Iterator[bytes]:
 
 def drops(cloud: Cloud) -> list[str]:
     """Name the attributes that the format has no room for."""
-    found = []
+    found = rounded(cloud)
     if cloud.colors is not None and cloud.colors.dtype == np.uint16:
         found.append("the lower 8 of 16 bits of colours")
     if cloud.colors is not None and cloud.colors.shape[1] == 4:

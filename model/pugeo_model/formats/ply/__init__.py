@@ -11,7 +11,7 @@ from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.numbers import NumberLines
 from pugeo_model.formats.ply import binary, text
 from pugeo_model.formats.ply.columns import VertexColumns
-from pugeo_model.formats.ply.encode import body, encode, header, size
+from pugeo_model.formats.ply.encode import body, encode, header, rounded, size
 from pugeo_model.formats.ply.header import Element, Header, read_header
 from pugeo_model.formats.stream import bytes_left
 
@@ -21,6 +21,7 @@ __all__ = [
     "NAME",
     "body",
     "declared",
+    "drops",
     "encode",
     "head",
     "header",
@@ -105,6 +106,11 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write binary little endian: points in their own precision, scalars in their own types."""
     for block in encode(cloud):
         file.write(block)
+
+
+def drops(cloud: Cloud) -> list[str]:
+    """Name the attributes that the format has no room for."""
+    return rounded(cloud)
 
 
 def head(cloud: Cloud, count: int) -> bytes:
