@@ -69,13 +69,14 @@ def create_service(settings: Settings) -> Service:
     model = {key: str(card[key]) for key in ("name", "version", "sha256")}
     telemetry = Telemetry(read, __version__, model)
     weights_used = {key: model[key] for key in ("version", "sha256")}
-    jobs = JobManager(settings, engine, telemetry, weights_used)
+    keys = Keys(settings.api_keys_file, settings.api_keys)
+    jobs = JobManager(settings, engine, telemetry, weights_used, keys.version)
     return Service(
         settings=settings,
         engine=engine,
         admission=admission,
         jobs=jobs,
-        keys=Keys(settings.api_keys_file, settings.api_keys),
+        keys=keys,
         telemetry=telemetry,
         card=card,
     )

@@ -5,6 +5,7 @@ import asyncio
 import functools
 import shutil
 import time
+from collections.abc import Callable
 
 import structlog
 from starlette.requests import Request
@@ -42,6 +43,7 @@ class JobManager:
         engine: runs jobs.
         telemetry: counts jobs.
         model: ``version`` and ``sha256`` of the weights.
+        keys_version: returns another value after API keys have changed.
 
     Attributes:
         admission: queue of running jobs. It is separate from the queue of requests, so that jobs
@@ -52,7 +54,12 @@ class JobManager:
     """
 
     def __init__(
-        self, settings: Settings, engine: Engine, telemetry: Telemetry, model: dict[str, str]
+        self,
+        settings: Settings,
+        engine: Engine,
+        telemetry: Telemetry,
+        model: dict[str, str],
+        keys_version: Callable[[], object],
     ) -> None:
         self._folder = settings.jobs_folder
         self._settings = settings
@@ -66,7 +73,11 @@ class JobManager:
         self.uploads = Admission(
             settings.queue_patches, settings.queue_bytes, settings.queue_requests
         )
-        self.changes = ChangeFeed(lambda ids: self._database.read(repository.find_many, ids))
+        self.changes = ChangeFeed(
+            lambda ids: self._database.read(repository.revisions, ids),
+            lambda ids: self._database.read(repository.find_many, ids),
+            keys_version,
+        )
         self._submission = Submission(settings, self._database, self.files, self.uploads)
         completion = Completion(
             self._lock.name,

@@ -17,8 +17,8 @@ from pugeo_service.jobs.models import ACTIVE, FINAL, Job, State, Success, jobs
 
 __all__ = [
     "JobUsage", "add", "claim", "expire", "fail", "find", "find_by_key", "find_many", "list_page",
-    "owner_usage", "prune", "requeue", "requeue_all_of", "requeue_unknown", "runners", "succeed",
-    "update_progress", "usage", "wanted_files", "withdraw",
+    "owner_usage", "prune", "requeue", "requeue_all_of", "requeue_unknown", "revisions", "runners",
+    "succeed", "update_progress", "usage", "wanted_files", "withdraw",
 ]  # fmt: skip
 
 _ADD_LOCK = 0x70756765  # key of an advisory lock; any number
@@ -110,6 +110,12 @@ def find_many(connection: Connection, ids: Sequence[str]) -> list[Job]:
     """Find jobs of any owner by their ids."""
     rows = connection.execute(select(jobs).where(jobs.c.id.in_(ids))).mappings()
     return [Job.from_row(row) for row in rows]
+
+
+def revisions(connection: Connection, ids: Sequence[str]) -> dict[str, int]:
+    """Return the revisions of the existing jobs among some ids, of any owner."""
+    rows = connection.execute(select(jobs.c.id, jobs.c.revision).where(jobs.c.id.in_(ids)))
+    return {row.id: row.revision for row in rows}
 
 
 def list_page(
