@@ -4,7 +4,6 @@
 import asyncio
 import functools
 import shutil
-import time
 from collections.abc import Callable
 
 import structlog
@@ -13,7 +12,7 @@ from starlette.requests import Request
 from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.change_feed import ChangeFeed
 from pugeo_service.jobs.completion import Completion
 from pugeo_service.jobs.database import Database, unavailable
@@ -28,11 +27,14 @@ from pugeo_service.jobs.submission import Submission
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
+from pugeo_service.storage.reserve import Reserve
 
 __all__ = ["JobManager"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _REOPEN_S = 5.0
+# Finished jobs of an owner whose rows are kept at least.
+_LEAST_ROWS = 1000
 
 
 class JobManager:
@@ -66,7 +68,8 @@ class JobManager:
         self._telemetry = telemetry
         self._lock = ProcessLock(self._folder)
         self.files = JobFiles(self._folder, self._lock.name)
-        self._database = Database(settings.jobs_database)
+        self._reserve = Reserve(self._folder / "reserve")
+        self._database = Database(settings.jobs_database, self._reserve)
         self.admission = Admission(
             settings.queue_patches, settings.queue_bytes, settings.jobs_running
         )
@@ -112,6 +115,8 @@ class JobManager:
             completion,
             telemetry,
             self._runner.requeue_unknown,
+            self._reserve,
+            max(_LEAST_ROWS, settings.jobs_queue),
         )
         self._tasks: list[asyncio.Task[None]] = []
         self._opening: asyncio.Task[None] | None = None
@@ -189,8 +194,8 @@ class JobManager:
         if before is not None:
             _check_id(before)
         found = await self._database.read(repository.list_page, owner, state, before, limit + 1)
-        more = len(found) > limit
-        return found[:limit], found[limit - 1].id if more else None
+        readable = [job for _, job in found[:limit] if job is not None]
+        return readable, found[limit - 1][0] if len(found) > limit else None
 
     async def withdraw(self, job_id: str, owner: str) -> Job:
         """Cancel an active job, or delete the result of a finished one. Idempotent.
@@ -200,9 +205,9 @@ class JobManager:
         """
         self._check_ready()
         _check_id(job_id)
-        now = time.time()
+        now = clock.now()
         expires_at = now + self._settings.jobs_ttl_s
-        found = await self._database.write(repository.withdraw, job_id, owner, now, expires_at)
+        found = await self._database.free(repository.withdraw, job_id, owner, now, expires_at)
         if found is None:
             raise _unknown_job(job_id)
         before, job = found

@@ -6,7 +6,6 @@ import functools
 import hashlib
 import json
 import re
-import time
 from typing import Any
 
 import structlog
@@ -21,7 +20,7 @@ from pugeo_service.admission.admission import Admission
 from pugeo_service.engine.answer_size import check_answer
 from pugeo_service.http.body import announced_bytes, receive_into
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, new_id
@@ -118,7 +117,7 @@ class Submission:
             answer=answer,
             input_bytes=file.size,
             input_sha256=file.sha256,
-            created_at=time.time(),
+            created_at=clock.now(),
         )
         try:
             stored = await self._insert(job)

@@ -178,7 +178,7 @@ async def result(job_id: JobId, request: Request, service: ServiceDep) -> Respon
     """Return the dense cloud of a job; supports ETag, Range and If-Range."""
     job = await service.jobs.get(job_id, owner_of(request))
     check_available(job)
-    return await asyncio.to_thread(result_response, request, job, service.jobs.files.result(job_id))
+    return await asyncio.to_thread(result_response, request, job, service.jobs.files)
 
 
 @router.delete(
