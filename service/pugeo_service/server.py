@@ -7,17 +7,19 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
 import structlog
 import uvicorn
-from prometheus_client import start_http_server
+from prometheus_client import make_asgi_app
 from pydantic import ValidationError
 
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
+from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
@@ -27,6 +29,11 @@ from pugeo_service.settings import Settings, explain, unknown_names
 __all__ = ["main", "serve"]
 
 _log = structlog.stdlib.get_logger("pugeo.service")
+# Of workers, the database, files of requests, and the system's own.
+_OTHER_DESCRIPTORS = 128
+_LEAST_CONNECTIONS = 16
+_METRICS_CONNECTIONS = 32
+_METRICS_STOP_S = 5.0
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -105,7 +112,7 @@ def serve(settings: Settings) -> int:
         app,
         host=settings.host,
         port=settings.port,
-        http=ServerProtocol,
+        http=ServerProtocol.limited(_connections(settings)),
         ws="none",
         log_config=None,
         access_log=False,
@@ -132,17 +139,35 @@ def serve(settings: Settings) -> int:
     return 1 if server.failed else 0
 
 
+def _connections(settings: Settings) -> int:
+    """Return the bound on connections, which leaves descriptors for files and workers."""
+    others = _OTHER_DESCRIPTORS + 4 * (settings.queue_requests + settings.jobs_running)
+    return max(_LEAST_CONNECTIONS, min(settings.max_connections, usable_descriptors() - others))
+
+
 @contextlib.contextmanager
 def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
-    """Serve metrics on a separate port, in a separate thread."""
-    server, thread = start_http_server(port, host, telemetry.registry)
-    _log.info("metrics", port=server.server_port)
-    try:
-        yield
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    """Serve metrics on a separate port, in a separate thread, with the limits of the service."""
+    with _listen(host, port) as listener:
+        config = uvicorn.Config(
+            make_asgi_app(telemetry.registry),  # type: ignore[no-untyped-call]
+            http=ServerProtocol.limited(_METRICS_CONNECTIONS),
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        _log.info("metrics", port=listener.getsockname()[1])
+        try:
+            yield
+        finally:
+            server.should_exit = True
+            thread.join(_METRICS_STOP_S)
 
 
 def _listen(host: str, port: int) -> socket.socket:

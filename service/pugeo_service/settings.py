@@ -94,7 +94,9 @@ class Settings(BaseSettings):
     queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
         4096
     )
-    queue_bytes: Annotated[int, Field(ge=1, description="bytes of bodies at one time")] = 1024 * MIB
+    queue_bytes: Annotated[
+        int, Field(ge=1, description="bytes of bodies and answers at one time")
+    ] = 1024 * MIB
     queue_requests: Annotated[int, Field(ge=1, description="capacity of the queue in requests")] = (
         64
     )
@@ -103,6 +105,9 @@ class Settings(BaseSettings):
     body_idle_s: Annotated[
         Seconds, Field(description="maximum seconds between two chunks of a body")
     ] = 30.0
+    max_connections: Annotated[
+        int, Field(ge=1, description="maximum number of open connections")
+    ] = 4096
     drain_delay_s: Annotated[
         float,
         Field(

@@ -37,7 +37,8 @@ class Admission:
     Args:
         max_patches: patches admitted and not yet finished. A request larger than this is admitted
             when the queue is empty; otherwise it could never be served.
-        max_bytes: bytes of bodies in memory or in the spool folder.
+        max_bytes: bytes of bodies and answers in memory or in the spool folder. An answer is not
+            refused once it is made, so those of the running requests may exceed it.
         max_requests: requests admitted and not yet finished.
 
     Attributes:
@@ -67,7 +68,7 @@ class Admission:
 
     @property
     def bytes(self) -> int:
-        """Bytes of bodies."""
+        """Bytes of bodies and of answers on their way out."""
         return self.usage.bytes
 
     @property
@@ -212,6 +213,16 @@ class Reservation:
         if not self._closed:
             self._add(QueueUsage(patches=-min(patches, self.usage.patches)))
         self._admission.throughput.add(patches)
+
+    def hold_answer(self, size: int) -> None:
+        """Leave the queue, and hold the ``size`` bytes of the answer until the end of the block.
+
+        An answer on its way to a slow client takes room on the disk, and nothing else.
+        """
+        self._admission.admitted.pop(self, None)
+        self._add(QueueUsage(-self.usage.patches, size - self.usage.bytes, -self.usage.requests))
+        if self._admission.requests == 0:
+            self._admission.throughput.stop()
 
     def check_share(self, more: QueueUsage) -> None:
         """Refuse an addition that would exceed the owner's share; see `fair_share`.

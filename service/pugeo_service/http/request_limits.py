@@ -18,7 +18,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.problems import ProblemError
 
-__all__ = ["RequestLimits"]
+__all__ = ["RequestLimits", "encode_response"]
 
 MAX_HEAD_BYTES = 64 << 10
 MAX_HEAD_FIELDS = 100
@@ -115,7 +115,7 @@ class RequestLimits(HttpToolsProtocol):
             problem = self._refusal or ProblemError(
                 400, "malformed_request", "The bytes are not an HTTP request."
             )
-            self.transport.write(_encode_response(problem))
+            self.transport.write(encode_response(problem))
         self.transport.close()
 
     def _start_timer(self) -> None:
@@ -160,7 +160,8 @@ def _too_large(excess: str) -> ProblemError:
     return ProblemError(431, "head_too_large", detail, fields=fields)
 
 
-def _encode_response(problem: ProblemError) -> bytes:
+def encode_response(problem: ProblemError) -> bytes:
+    """Return the bytes of a response that closes its connection."""
     response = problem.response({})
     add_security_headers(response.headers)
     response.headers["Connection"] = "close"
