@@ -55,7 +55,7 @@ def compile_kernels(
         started: called with the process, for a caller that may have to end it.
 
     Raises:
-        RuntimeError: the process failed; the message ends with its last output.
+        RuntimeError: the process failed; the message ends with its last line.
     """
     if compiled():
         return
@@ -67,11 +67,18 @@ def compile_kernels(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        # Ctrl+C reaches the whole process group; the traceback of this one would tell nobody.
+        start_new_session=True,
     ) as process:
         started(process)
-        errors = process.communicate()[1]
+        try:
+            errors = process.communicate()[1]
+        except BaseException:
+            process.kill()
+            raise
     if process.returncode:
-        raise RuntimeError(f"kernels could not be compiled: {errors.strip()[-500:]}")
+        last = (errors.strip().splitlines() or ["the process was ended"])[-1]
+        raise RuntimeError(f"kernels could not be compiled: {last[-500:]}")
     announce(f"compiled kernels in {time.perf_counter() - start:.0f} s")
 
 

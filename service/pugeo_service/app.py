@@ -20,7 +20,7 @@ from pugeo_model.malloc import give_back_freed_memory
 from pugeo_service import __version__, problems
 from pugeo_service.admission.admission import Admission
 from pugeo_service.container import Service
-from pugeo_service.engine import Engine
+from pugeo_service.engine import Engine, EngineStartError
 from pugeo_service.http import openapi
 from pugeo_service.http.auth import RequireKey
 from pugeo_service.http.head_requests import AnswerHead
@@ -142,6 +142,10 @@ def create_app(
 async def _start(service: Service, on_fatal: Callable[[], Any]) -> None:
     try:
         await service.engine.start()
+    except EngineStartError as error:
+        _log.error("the engine cannot start", reason=str(error))
+        on_fatal()
+        return
     except Exception:  # noqa: BLE001 - logged, and the process ends
         _log.exception("the engine cannot start")
         on_fatal()

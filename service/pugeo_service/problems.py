@@ -26,6 +26,7 @@ __all__ = [
     "PROBLEM_SCHEMA",
     "ProblemError",
     "bug",
+    "draining",
     "install",
     "internal_error",
     "problem_responses",
@@ -160,6 +161,12 @@ def bug() -> ProblemError:
     """Return the problem for an unexpected error; it reveals only the id in the log."""
     detail = "Unexpected error of the service; its log has the cause under this request_id."
     return ProblemError(500, "internal_error", detail, retryable=False)
+
+
+def draining() -> ProblemError:
+    """Return the problem for requests that a service which shuts down does not finish."""
+    detail = "The service is shutting down; another one may take the request."
+    return ProblemError(503, "draining", detail, retry_after=5)
 
 
 def internal_error(scope: Mapping[str, Any]) -> Response:

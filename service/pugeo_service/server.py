@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
+from pugeo_service.engine.children import end_children
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.observability import logs, tracing
@@ -34,14 +35,19 @@ _OTHER_DESCRIPTORS = 128
 _LEAST_CONNECTIONS = 16
 _METRICS_CONNECTIONS = 32
 _METRICS_STOP_S = 5.0
+# Seconds after the time to drain in which workers, jobs and files are closed in order.
+_END_S = 120.0
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class _Server(uvicorn.Server):
-    def __init__(self, config: uvicorn.Config, service: Service, delay_s: float) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)
         self._service = service
-        self._delay_s = delay_s
+        settings = service.settings
+        self._delay_s = settings.drain_delay_s
+        self._end_s = settings.drain_delay_s + settings.drain_s + _END_S
+        self._stopping: threading.Timer | None = None
         self.failed = False
 
     @contextlib.contextmanager
@@ -56,6 +62,11 @@ class _Server(uvicorn.Server):
                 signal.signal(number, handler)
 
     def handle_exit(self, sig: int, _frame: FrameType | None) -> None:
+        if self._stopping is None:
+            # Whatever hangs, the process ends.
+            self._stopping = threading.Timer(self._end_s, _end_anyway)
+            self._stopping.daemon = True
+            self._stopping.start()
         if self._service.admission.draining:
             self.should_exit = True
             self.force_exit = sig == signal.SIGINT
@@ -130,13 +141,21 @@ def serve(settings: Settings) -> int:
         except OSError as error:
             _log.error("cannot listen", host=settings.host, port=port, reason=str(error))
             return 1
-        server = _Server(config, service, settings.drain_delay_s)
+        server = _Server(config, service)
         port = listener.getsockname()[1]
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
         sys.stdout.write(f"pugeo serves http://{host}:{port}\n")
         sys.stdout.flush()
-        server.run(sockets=[listener])
+        # An interrupt that comes before uvicorn handles signals.
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
     return 1 if server.failed else 0
+
+
+def _end_anyway() -> None:
+    """End this process and its workers at once."""
+    _log.error("the service did not end in time; it is ended", workers=end_children())
+    os._exit(1)
 
 
 def _connections(settings: Settings) -> int:

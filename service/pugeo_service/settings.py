@@ -75,6 +75,9 @@ class Settings(BaseSettings):
     worker_memory: Annotated[
         str, Field(description="memory limit of a worker in bytes, or as a fraction of all memory")
     ] = "auto"
+    start_s: Annotated[
+        Seconds, Field(description="maximum seconds until the first worker is ready")
+    ] = 300.0
     scheduler: Annotated[
         str | None, Field(description="tls://host:port of an external Dask cluster")
     ] = None

@@ -15,7 +15,7 @@ from typing import Self
 from pugeo_service.admission.fair_share import check_share
 from pugeo_service.admission.throughput import PatchCost, Throughput
 from pugeo_service.engine.scheduling import LARGE_PATCHES
-from pugeo_service.problems import ProblemError
+from pugeo_service.problems import ProblemError, draining
 
 __all__ = ["Admission", "QueueUsage", "Reservation"]
 
@@ -106,8 +106,7 @@ class Admission:
     def check_draining(self) -> None:
         """Raise a `ProblemError`, 503, if the service shuts down."""
         if self.draining:
-            detail = "The service is shutting down; another one may take the request."
-            raise ProblemError(503, "draining", detail, retry_after=5)
+            raise draining()
 
     def queue_full(self, patches: int) -> ProblemError:
         """Return the refusal of a request of ``patches``, with the time until it would fit."""

@@ -5,6 +5,7 @@ It is pure ASGI because Starlette's BaseHTTPMiddleware, and with it ``@app.middl
 client's disconnect from the routes, so that work for departed clients would go on.
 """
 
+import asyncio
 import re
 import secrets
 import time
@@ -19,7 +20,7 @@ from pugeo_service.http.protocol import GONE
 from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import internal_error
+from pugeo_service.problems import draining, internal_error
 
 __all__ = ["RequestContext"]
 
@@ -102,6 +103,11 @@ class _Exchange:
                 await self._app(scope, receive, observed)
             except ClientDisconnectedError:
                 self._status = 499
+            except asyncio.CancelledError:
+                # The server cancels the requests that the time to drain did not suffice for. Of
+                # a response that has begun, only the end of the connection can tell.
+                if not self._status:
+                    await draining().response(scope)(scope, receive, observed)
             except Exception as error:
                 if self._status and _is_departure(error):
                     # Most likely the client closed the connection during the response.

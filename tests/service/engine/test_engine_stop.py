@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pugeo_model import kernel_cache
-from pugeo_service.engine import Engine
+from pugeo_service.engine import Engine, EngineStartError
 from pugeo_service.settings import Settings
 
 
@@ -31,5 +31,24 @@ def test_a_stop_ends_the_compilation_of_kernels(
             await starting
         await engine.stop()
         assert engine._compiling.wait(60) == -signal.SIGKILL
+
+    asyncio.run(scenario())
+
+
+def test_workers_that_never_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The start is given up after its time, with the setting and a likely cause."""
+
+    async def never(_: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr("pugeo_service.engine.dask_backend.DaskBackend.start", never)
+    monkeypatch.setattr("pugeo_service.engine.engine.compile_kernels", lambda *_: None)
+
+    async def scenario() -> None:
+        engine = Engine(Settings(spool_dir=tmp_path, start_s=0.05))
+        with pytest.raises(EngineStartError, match=r"within 0.05 s \(PUGEO_START_S\)"):
+            await engine.start()
+        assert engine.status.workers == 0
+        await engine.stop()
 
     asyncio.run(scenario())

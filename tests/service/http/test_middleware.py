@@ -124,6 +124,21 @@ def test_a_client_that_left_is_499() -> None:
     assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}
 
 
+def test_a_request_that_is_cut_off_is_a_problem() -> None:
+    """A request that the server cancels, since it shuts down, gets a 503 that says so."""
+    telemetry = make_telemetry()
+
+    async def wait(_scope: Scope, _receive: Receive, _send: Send) -> None:
+        asyncio.current_task().cancel()  # type: ignore[union-attr]
+        await asyncio.Event().wait()
+
+    start, body = exchange(wait, telemetry)
+    found = orjson.loads(body["body"])
+    assert (start["status"], found["code"], found["retryable"]) == (503, "draining", True)
+    assert b"retry-after" in dict(start["headers"])
+    assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "503"): 1.0}
+
+
 @pytest.mark.parametrize("grouped", [False, True])
 def test_a_client_that_is_cut_is_499(grouped: bool) -> None:
     """A response whose connection is gone stops at its next piece, and is no 200 in the log."""
