@@ -51,7 +51,7 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     path = locate(name_or_path)
     card_path = path.with_suffix(".json")
     try:
-        card: dict[str, Any] = json.loads(card_path.read_text("utf-8"))
+        found_card: Any = json.loads(card_path.read_text("utf-8"))
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except FileNotFoundError:
         raise _unusable(
@@ -61,8 +61,9 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
         raise _unusable(name_or_path, f"cannot be read: {error.strerror}") from None
     except ValueError:
         raise _unusable(name_or_path, f"their card {card_path.name} is no JSON") from None
-    if not isinstance(card, dict) or "architecture" not in card:
+    if not isinstance(found_card, dict) or "architecture" not in found_card:
         raise _unusable(name_or_path, f"their card {card_path.name} names no architecture")
+    card: dict[str, Any] = found_card
     if card.setdefault("sha256", found) != found:
         raise _unusable(
             name_or_path,

@@ -169,7 +169,7 @@ def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
     """Serve metrics on a separate port, in a separate thread, with the limits of the service."""
     with _listen(host, port) as listener:
         config = uvicorn.Config(
-            make_asgi_app(telemetry.registry),  # type: ignore[no-untyped-call]
+            make_asgi_app(telemetry.registry),
             http=ServerProtocol.limited(_METRICS_CONNECTIONS),
             ws="none",
             lifespan="off",

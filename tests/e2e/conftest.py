@@ -82,13 +82,12 @@ def _command(process: Any) -> list[str]:
 
 
 @contextmanager
-def launched(log: Path, *options: str, group: bool = False, **environment: str) -> Iterator[Server]:
+def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
     """Start a service and end it after the block.
 
     Args:
         log: file for its stderr.
         options: command line options.
-        group: it becomes the leader of a process group of its own, as in a terminal.
         environment: additional environment variables.
     """
     command = [sys.executable, "-m", "pugeo_service", "--port", "0", *options]
@@ -98,7 +97,7 @@ def launched(log: Path, *options: str, group: bool = False, **environment: str) 
             stdout=subprocess.PIPE,
             stderr=stderr,
             text=True,
-            process_group=0 if group else None,
+            process_group=0,  # as a shell starts it
             env={**os.environ, "PUGEO_WORKERS": "2", "PUGEO_LOG_FORMAT": "json", **environment},
         )
     try:

@@ -159,7 +159,7 @@ def test_workers_that_cannot_start(launch: Any) -> None:
 
 def test_ctrl_c_before_ready(launch: Any) -> None:
     """An interrupt of the whole process group ends a service that starts, without a traceback."""
-    with launch("--workers", "1", group=True) as server:
+    with launch("--workers", "1") as server:
         time.sleep(1.5)  # while the worker imports
         os.killpg(server.process.pid, signal.SIGINT)
         assert server.process.wait(100) == 0

@@ -129,7 +129,7 @@ def test_certificates_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     monkeypatch.setenv("PUGEO_SCHEDULER", "tls://scheduler:8786")
     for name, path in files.items():
         monkeypatch.setenv(f"PUGEO_{name.upper()}", str(path))
-    assert [line.partition("=")[0] for line in lines_of({})] == [
+    assert [line.partition("=")[0] for line in lines()] == [
         "PUGEO_TLS_CA", "PUGEO_TLS_CERT", "PUGEO_TLS_KEY",
     ]  # fmt: skip
     command = [sys.executable, str(root / "deploy/make_certs.py"), str(tmp_path / "made")]
@@ -138,7 +138,7 @@ def test_certificates_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     good = files["tls_key"].read_bytes()
     for name in ("tls_key", "tls_ca"):
         files[name].write_bytes(b"no certificate")
-        (line,) = lines_of({})
+        (line,) = lines()
         assert f"PUGEO_{name.upper()}={files[name]}" in line
         files[name].write_bytes(good)
 
@@ -166,11 +166,11 @@ def test_mistyped_names_are_found() -> None:
 def refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> list[str]:
     """The lines about a setting of the environment that is refused."""
     monkeypatch.setenv(f"PUGEO_{name.upper()}", value)
-    return lines_of({})
+    return lines()
 
 
-def lines_of(given: dict[str, str]) -> list[str]:
-    """The lines about settings that are refused."""
+def lines() -> list[str]:
+    """The lines about settings of the environment that are refused."""
     with pytest.raises(ValidationError) as caught:
-        Settings(**given)
+        Settings()
     return list(explain(caught.value))

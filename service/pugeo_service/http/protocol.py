@@ -10,8 +10,8 @@ import asyncio
 import contextlib
 import fcntl
 import termios
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, MutableMapping
+from typing import Any, cast
 
 from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
@@ -76,7 +76,8 @@ class ServerProtocol(ConnectionLimit):
 
     def _start_asgi_task(self, cycle: RequestResponseCycle, app: Callable[..., Any]) -> None:
         self._running = cycle
-        cycle.scope[GONE] = lambda: cycle.disconnected
+        scope: MutableMapping[str, Any] = cast("MutableMapping[str, Any]", cycle.scope)
+        scope[GONE] = lambda: cycle.disconnected
         super()._start_asgi_task(cycle, app)
 
     def _unread(self) -> int:

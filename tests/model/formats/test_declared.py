@@ -61,7 +61,7 @@ def test_bytes_are_bounded_before_points_are_read(format: str) -> None:
 
 def test_columns_of_a_small_archive_are_counted() -> None:
     """A thousand constant columns that deflate to nothing count with all their bytes."""
-    columns = {f"s{i}": np.full(2000, 0.5) for i in range(1000)}
+    columns: dict[str, Any] = {f"s{i}": np.full(2000, 0.5) for i in range(1000)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, points=np.zeros((2000, 3)), **columns)
     assert len(buffer.getvalue()) < 400_000

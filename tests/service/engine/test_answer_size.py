@@ -3,6 +3,7 @@
 
 import io
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ REQUEST = make_run_request(
 def archive(columns: int, points: int = 2000) -> np.ndarray:
     """A small archive of a large cloud: constant columns deflate to nothing."""
     buffer = io.BytesIO()
-    scalars = {f"s{i}": np.full(points, 0.5) for i in range(columns)}
+    scalars: dict[str, Any] = {f"s{i}": np.full(points, 0.5) for i in range(columns)}
     np.savez_compressed(buffer, points=np.zeros((points, 3)), **scalars)
     return np.frombuffer(buffer.getvalue(), np.uint8)
 

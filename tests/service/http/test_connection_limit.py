@@ -6,6 +6,7 @@ import logging
 import resource
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -148,7 +149,7 @@ def _scrape(port: int) -> bytes:
 def test_one_line_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     """The log gets a line at once, and then one for all refusals of a minute."""
     seconds = [100.0]
-    monkeypatch.setattr(connection_limit.time, "monotonic", lambda: seconds[0])
+    monkeypatch.setattr(time, "monotonic", lambda: seconds[0])
     refusals = connection_limit._Refusals()
     with structlog.testing.capture_logs() as logs:
         for _ in range(200):

@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from pugeo_service.jobs import clock
 from pugeo_service.jobs.clock import SteadyClock
 from pugeo_service.storage.reserve import Reserve
 
@@ -231,7 +230,7 @@ def test_a_clock_that_jumps_deletes_nothing(play: Any, monkeypatch: pytest.Monke
     """While the clock is two days ahead, or behind, results are kept and new ones last."""
     real = time.time
     ahead = [0.0]
-    monkeypatch.setattr(clock.time, "time", lambda: real() + ahead[0])
+    monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
 
     async def scenario(house: Any) -> None:
         first = await house.submit()
@@ -260,8 +259,8 @@ def test_a_clock_that_jumps_deletes_nothing(play: Any, monkeypatch: pytest.Monke
 def test_a_jump_that_lasts_is_a_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small steps count at once, a jump after an hour; one that ends before never does."""
     wall, monotonic = [1e9], [0.0]
-    monkeypatch.setattr(clock.time, "time", lambda: wall[0])
-    monkeypatch.setattr(clock.time, "monotonic", lambda: monotonic[0])
+    monkeypatch.setattr(time, "time", lambda: wall[0])
+    monkeypatch.setattr(time, "monotonic", lambda: monotonic[0])
     steady = SteadyClock()
 
     def after(seconds: float, jump: float = 0.0) -> float:
