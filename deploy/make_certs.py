@@ -4,8 +4,8 @@
     python deploy/make_certs.py FOLDER
 
 A Dask scheduler runs whatever it is sent, so every connection is encrypted and both ends show a
-certificate of this authority. Whoever holds FOLDER can run code on the workers. What is there
-already is kept.
+certificate of this authority. Whoever holds FOLDER can run code on the workers. It is made if it
+is missing, and files that are there are kept.
 """
 
 import datetime as dt
@@ -22,6 +22,7 @@ LIFETIME = dt.timedelta(days=825)
 
 def main(folder: Path) -> None:
     """Write ``ca.pem``, ``cert.pem`` and ``key.pem``; the authority's own key is thrown away."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     files = [folder / name for name in ("ca.pem", "cert.pem", "key.pem")]
     if all(path.exists() for path in files):
         return

@@ -345,7 +345,6 @@ def test_dashboards_and_alerts_know_the_metrics(root: Path) -> None:
 def test_the_certificates_are_good_for_both_ends(root: Path, tmp_path: Path) -> None:
     """Two ends that hold the folder's files trust each other over TLS, and nobody else's."""
     for folder in ("ours", "theirs"):
-        (tmp_path / folder).mkdir()
         command = [sys.executable, str(root / "deploy/make_certs.py"), str(tmp_path / folder)]
         subprocess.run(command, check=True)
     assert (tmp_path / "ours/key.pem").stat().st_mode & 0o077 == 0

@@ -75,6 +75,12 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a point with all its attributes."""
+        columns = [self.points, self.normals, self.colors, *self.scalars.values()]
+        return sum(c.itemsize * (c.size // max(1, len(c))) for c in columns if c is not None)
+
     @classmethod
     def join(cls, clouds: "Sequence[Cloud]") -> "Cloud":
         """Concatenate clouds in their order; all have the same attributes as the first."""

@@ -44,24 +44,41 @@ def compiled() -> bool:
     return _marker().exists()
 
 
-def compile_kernels(announce: Callable[[str], object]) -> None:
+def compile_kernels(
+    announce: Callable[[str], object],
+    started: Callable[["subprocess.Popen[str]"], object] = lambda _: None,
+) -> None:
     """Compile all kernels in a separate process, unless they are compiled.
 
     Args:
         announce: called with a message before and after the compilation.
+        started: called with the process, for a caller that may have to end it.
 
     Raises:
-        RuntimeError: the process failed; the message ends with its last output.
+        RuntimeError: the process failed; the message ends with its last line.
     """
     if compiled():
         return
     announce("compiling kernels for this machine; this happens once and takes a minute or two ...")
     start = time.perf_counter()
-    ended = subprocess.run(  # noqa: S603 - our own interpreter and code
-        [sys.executable, "-c", _COMPILE], check=False, capture_output=True, text=True
-    )
-    if ended.returncode:
-        raise RuntimeError(f"kernels could not be compiled: {ended.stderr.strip()[-500:]}")
+    with subprocess.Popen(  # noqa: S603 - our own interpreter and code
+        [sys.executable, "-c", _COMPILE],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Ctrl+C reaches the whole process group; the traceback of this one would tell nobody.
+        start_new_session=True,
+    ) as process:
+        started(process)
+        try:
+            errors = process.communicate()[1]
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode:
+        last = (errors.strip().splitlines() or ["the process was ended"])[-1]
+        raise RuntimeError(f"kernels could not be compiled: {last[-500:]}")
     announce(f"compiled kernels in {time.perf_counter() - start:.0f} s")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from pugeo_model.errors import BadOptionError
 
-__all__ = ["available", "load", "locate", "read_card", "save", "start_from"]
+__all__ = ["available", "load", "load_or_explain", "locate", "read_card", "save", "start_from"]
 
 _RELEASED = Path(__file__).parent / "released"
 
@@ -39,14 +39,37 @@ def locate(name_or_path: str | Path) -> Path:
 
 
 def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
-    """Read the model card of released or own weights; adds the ``sha256`` of the weights.
+    """Read the model card of released or own weights.
+
+    Returns:
+        The card, with the ``sha256`` of the weights. A card that states another one is refused:
+        the weights are damaged, or belong to another card.
 
     Raises:
-        BadOptionError: no such weights.
+        BadOptionError: no such weights or card, or they do not belong together.
     """
     path = locate(name_or_path)
-    card: dict[str, Any] = json.loads(path.with_suffix(".json").read_text("utf-8"))
-    card["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    card_path = path.with_suffix(".json")
+    try:
+        found_card: Any = json.loads(card_path.read_text("utf-8"))
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+    except FileNotFoundError:
+        raise _unusable(
+            name_or_path, f"their card {card_path.name} is missing beside them"
+        ) from None
+    except OSError as error:
+        raise _unusable(name_or_path, f"cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise _unusable(name_or_path, f"their card {card_path.name} is no JSON") from None
+    if not isinstance(found_card, dict) or "architecture" not in found_card:
+        raise _unusable(name_or_path, f"their card {card_path.name} names no architecture")
+    card: dict[str, Any] = found_card
+    if card.setdefault("sha256", found) != found:
+        raise _unusable(
+            name_or_path,
+            f"their sha256 is {found[:12]}..., their card says {str(card['sha256'])[:12]}...: the "
+            "file is damaged or belongs to another card",
+        )
     return card
 
 
@@ -57,8 +80,9 @@ def load(name_or_path: str | Path = "standard") -> Any:
         A ``Model``, which predicts charts, or a ``PatchModel``, which upsamples whole patches.
 
     Raises:
-        BadOptionError: no such weights.
+        BadOptionError: no such weights, damaged ones, or of another network than their card says.
     """
+    from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     from pugeo_model.network.build import build_network
@@ -67,9 +91,24 @@ def load(name_or_path: str | Path = "standard") -> Any:
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
     card = read_card(name_or_path)
-    net = build_network(Architecture.from_json(card["architecture"]))
-    net.load_state_dict(load_file(locate(name_or_path)))
+    try:
+        net = build_network(Architecture.from_json(card["architecture"]))
+        net.load_state_dict(load_file(locate(name_or_path)))
+    except SafetensorError as error:
+        raise _unusable(name_or_path, f"the file is damaged: {error}") from None
+    except (RuntimeError, TypeError, KeyError, ValueError) as error:
+        # torch names each tensor that differs; the first line and the first tensor say enough.
+        reason = " ".join(str(error).split())[:200]
+        raise _unusable(name_or_path, f"not of the network of their card: {reason}") from None
     return Model(net, card) if isinstance(net, PUGeoNet) else PatchModel(net, card)
+
+
+def load_or_explain(name_or_path: str | Path) -> None:
+    """Load weights to see that they can be; end the process with one line if they cannot."""
+    try:
+        load(name_or_path)
+    except BadOptionError as error:
+        raise SystemExit(error.message) from None
 
 
 def start_from(net: Any, name_or_path: str | Path) -> None:
@@ -112,5 +151,11 @@ def save(net: Any, card: dict[str, Any], path: Path) -> None:
     save_file({name: value.contiguous() for name, value in net.state_dict().items()}, path)
     # The library writes files that only the owner can read; a package is for all users.
     path.chmod(0o644)
-    card = {**card, "architecture": net.architecture.to_json()}
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    card = {**card, "architecture": net.architecture.to_json(), "sha256": digest}
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n", "utf-8")
+
+
+def _unusable(name_or_path: str | Path, reason: str) -> BadOptionError:
+    name = str(name_or_path)
+    return BadOptionError(f"the weights {name!r} cannot be used: {reason}", value=name)

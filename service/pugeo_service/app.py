@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 import structlog
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from pugeo_model import weights
@@ -19,10 +19,12 @@ from pugeo_model.malloc import give_back_freed_memory
 from pugeo_service import __version__, problems
 from pugeo_service.admission.admission import Admission
 from pugeo_service.container import Service
-from pugeo_service.engine import Engine
+from pugeo_service.engine import Engine, EngineStartError
 from pugeo_service.http import openapi
 from pugeo_service.http.auth import RequireKey
+from pugeo_service.http.head_requests import AnswerHead
 from pugeo_service.http.middleware import RequestContext
+from pugeo_service.http.query_names import check_query
 from pugeo_service.http.security_headers import CORS
 from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
@@ -66,13 +68,14 @@ def create_service(settings: Settings) -> Service:
     model = {key: str(card[key]) for key in ("name", "version", "sha256")}
     telemetry = Telemetry(read, __version__, model)
     weights_used = {key: model[key] for key in ("version", "sha256")}
-    jobs = JobManager(settings, engine, telemetry, weights_used)
+    keys = Keys(settings.api_keys_file, settings.api_keys)
+    jobs = JobManager(settings, engine, telemetry, weights_used, keys.version)
     return Service(
         settings=settings,
         engine=engine,
         admission=admission,
         jobs=jobs,
-        keys=Keys(settings.api_keys_file, settings.api_keys),
+        keys=keys,
         telemetry=telemetry,
         card=card,
     )
@@ -120,14 +123,18 @@ def create_app(
     )
     app.state.service = service
     problems.install(app)
-    # The last one added is the outermost. CORS is outside of keys: a preflight has no key.
+    # The last one added is the outermost.
+    app.add_middleware(AnswerHead)
+    # CORS is outside of keys: a preflight has no key.
     if service.keys.required:
         app.add_middleware(RequireKey, keys=service.keys, telemetry=service.telemetry)
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, job_routes, models, health, docs, page):
-        app.include_router(module.router)
+    for module in (upsample, job_routes, models):
+        app.include_router(module.router, dependencies=[Depends(check_query)])
+    for other in (health, docs, page):
+        app.include_router(other.router)
     if service.settings.metrics_port is None:
         app.include_router(metrics.router)
     openapi.install(app)
@@ -139,6 +146,10 @@ async def _start(
 ) -> None:
     try:
         await service.engine.start()
+    except EngineStartError as error:
+        _log.error("the engine cannot start", reason=str(error))
+        on_fatal()
+        return
     except Exception:  # noqa: BLE001 - logged, and the process ends
         _log.exception("the engine cannot start")
         on_fatal()

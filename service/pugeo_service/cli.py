@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``pugeo serve`` and ``pugeo keys``."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,6 +11,16 @@ import typer
 __all__ = ["keys", "serve"]
 
 Option = typer.Option
+
+
+@contextmanager
+def _needs_extra(command: str) -> Iterator[None]:
+    """Say which extra to install if a package is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        typer.echo(f"{command} needs {missing.name}: pip install 'pugeo[server]'", err=True)
+        raise typer.Exit(2) from None
 
 
 def serve(
@@ -52,7 +64,8 @@ def serve(
     """
     given: dict[str, Any] = {name: value for name, value in locals().items() if value is not None}
     # Imported here: the command line lists its commands without loading a web framework.
-    from pugeo_service.server import main
+    with _needs_extra("serve"):
+        from pugeo_service.server import main
 
     raise typer.Exit(main(given))
 
@@ -67,7 +80,8 @@ def keys(
     service reads the file again when it changes. Remove the line to revoke the key.
     """
     del action  # there is only one
-    from pugeo_service.keys import Entry, hash_of, new_token, parse
+    with _needs_extra("keys"):
+        from pugeo_service.keys import Entry, hash_of, new_token, parse
 
     token = new_token()
     entry = Entry(name, hash_of(token))

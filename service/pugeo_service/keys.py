@@ -114,6 +114,11 @@ class Keys:
                 found = entry.name
         return found if token else None
 
+    def version(self) -> object:
+        """Return a value that is another one after the keys have changed."""
+        self._refresh()
+        return self._stamp
+
     def _refresh(self) -> None:
         if self._file is None:
             return

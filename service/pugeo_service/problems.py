@@ -26,6 +26,7 @@ __all__ = [
     "PROBLEM_SCHEMA",
     "ProblemError",
     "bug",
+    "draining",
     "install",
     "internal_error",
     "problem_responses",
@@ -49,6 +50,14 @@ _CODE = {
     422: "bad_option",
 }
 _RETRYABLE = frozenset({408, 429, 503, 504})
+# Limit in an error of the model -> the setting that raises it.
+_SETTINGS = {
+    "max_points": "PUGEO_MAX_POINTS",
+    "max_bytes": "PUGEO_MAX_CLOUD_BYTES",
+    "max_output_points": "PUGEO_MAX_OUTPUT_POINTS",
+    "max_output_bytes": "PUGEO_MAX_OUTPUT_BYTES",
+    "worker_memory": "PUGEO_WORKER_MEMORY",
+}
 
 PROBLEM_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -114,7 +123,11 @@ class ProblemError(Exception):
     def from_cloud_error(cls, error: CloudError) -> "ProblemError":
         """Convert an error of the model."""
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
-        return cls(status, error.code, error.message, fields=error.fields)
+        setting = _SETTINGS.get(error.fields.get("name", ""))
+        if setting is None:
+            return cls(status, error.code, error.message, fields=error.fields)
+        detail = f"{error.message} The service allows more with a larger {setting}."
+        return cls(status, error.code, detail, fields={**error.fields, "setting": setting})
 
     def members(self, instance: str, request_id: str) -> dict[str, Any]:
         """Return the members of the problem document.
@@ -148,6 +161,12 @@ def bug() -> ProblemError:
     """Return the problem for an unexpected error; it reveals only the id in the log."""
     detail = "Unexpected error of the service; its log has the cause under this request_id."
     return ProblemError(500, "internal_error", detail, retryable=False)
+
+
+def draining() -> ProblemError:
+    """Return the problem for requests that a service which shuts down does not finish."""
+    detail = "The service is shutting down; another one may take the request."
+    return ProblemError(503, "draining", detail, retry_after=5)
 
 
 def internal_error(scope: Mapping[str, Any]) -> Response:
@@ -189,7 +208,9 @@ def _allowed(app: FastAPI, scope: Mapping[str, Any], found: str) -> str:
     """Return all methods of a path; the framework reports those of one route only."""
     path = getattr(scope.get("route"), "path", None)
     described = {method.upper() for method in app.openapi()["paths"].get(path, ())}
-    return ", ".join(sorted({*described, *found.replace(",", " ").split()}))
+    methods = {*described, *found.replace(",", " ").split()}
+    # HEAD is answered wherever GET is: see `http.head_requests`.
+    return ", ".join(sorted(methods | {"HEAD"} if "GET" in methods else methods))
 
 
 def _invalid(error: RequestValidationError) -> ProblemError:

@@ -35,6 +35,8 @@ def make_run_request(
         options=options,
         max_points=settings.max_points,
         max_output_points=settings.max_output_points,
+        max_cloud_bytes=settings.max_cloud_bytes,
+        max_output_bytes=settings.max_output_bytes,
         deadline_s=deadline_s,
         background=background,
     )
@@ -55,9 +57,11 @@ def engine_problems() -> Iterator[None]:
         _log.error("cloud ended its worker processes", reason=str(error))
         detail = (
             "Every worker process that ran this cloud ended, most likely because it ran out of "
-            "memory. Send a smaller cloud or lower R; the same request will fail again."
+            "memory. Send a smaller cloud, lower R, or give workers more "
+            "(PUGEO_WORKER_MEMORY); the same request will fail again."
         )
-        raise ProblemError(422, "worker_lost", detail, retryable=False) from error
+        fields = {"setting": "PUGEO_WORKER_MEMORY"}
+        raise ProblemError(422, "worker_lost", detail, retryable=False, fields=fields) from error
     except EngineLostError as error:
         _log.error("engine lost", reason=str(error))
         detail = "The workers cannot be reached; try again after the time in Retry-After."
@@ -65,8 +69,12 @@ def engine_problems() -> Iterator[None]:
     except DiskError as error:
         raise storage_problem(error.error) from error
     except MemoryError as error:
-        detail = "This cloud needs more memory than a worker has; send a smaller one or lower R."
-        raise ProblemError(422, "out_of_memory", detail, retryable=False) from error
+        detail = (
+            "This cloud needs more memory than a worker has; send a smaller one, lower R, or give "
+            "workers more (PUGEO_WORKER_MEMORY)."
+        )
+        fields = {"setting": "PUGEO_WORKER_MEMORY"}
+        raise ProblemError(422, "out_of_memory", detail, retryable=False, fields=fields) from error
 
 
 def count_run(telemetry: Telemetry, result: RunResult) -> None:

@@ -7,34 +7,47 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
 import structlog
 import uvicorn
-from prometheus_client import start_http_server
+from prometheus_client import make_asgi_app
 from pydantic import ValidationError
 
-from pugeo_model.errors import CloudError
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
+from pugeo_service.engine.children import end_children
+from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.settings import Settings
+from pugeo_service.preflight import unfit_machine, unfit_weights
+from pugeo_service.settings import Settings, explain, unknown_names
 
 __all__ = ["main", "serve"]
 
 _log = structlog.stdlib.get_logger("pugeo.service")
+# Of workers, the database, files of requests, and the system's own.
+_OTHER_DESCRIPTORS = 128
+_LEAST_CONNECTIONS = 16
+_METRICS_CONNECTIONS = 32
+_METRICS_STOP_S = 5.0
+# Seconds after the time to drain in which workers, jobs and files are closed in order.
+_END_S = 120.0
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class _Server(uvicorn.Server):
-    def __init__(self, config: uvicorn.Config, service: Service, delay_s: float) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)
         self._service = service
-        self._delay_s = delay_s
+        settings = service.settings
+        self._delay_s = settings.drain_delay_s
+        self._end_s = settings.drain_delay_s + settings.drain_s + _END_S
+        self._stopping: threading.Timer | None = None
         self.failed = False
 
     @contextlib.contextmanager
@@ -49,6 +62,11 @@ class _Server(uvicorn.Server):
                 signal.signal(number, handler)
 
     def handle_exit(self, sig: int, _frame: FrameType | None) -> None:
+        if self._stopping is None:
+            # Whatever hangs, the process ends.
+            self._stopping = threading.Timer(self._end_s, _end_anyway)
+            self._stopping.daemon = True
+            self._stopping.start()
         if self._service.admission.draining:
             self.should_exit = True
             self.force_exit = sig == signal.SIGINT
@@ -77,9 +95,8 @@ def main(given: dict[str, Any]) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        for entry in error.errors():
-            name = ".".join(map(str, entry["loc"])) or "settings"
-            sys.stderr.write(f"{name}: {entry['msg']}\n")
+        for line in explain(error):
+            sys.stderr.write(line + "\n")
         return 2
     return serve(settings)
 
@@ -90,10 +107,12 @@ def serve(settings: Settings) -> int:
     The address is printed on stdout at once, because port 0 selects a free port, and once more when
     requests are served.
     """
-    if hint := tracing.missing_extra():
-        sys.stderr.write(hint + "\n")
+    if problem := tracing.missing_extra() or unfit_machine(settings) or unfit_weights(settings):
+        sys.stderr.write(problem + "\n")
         return 2
     logs.configure(settings.log_format, settings.log_level)
+    for name, similar in unknown_names(os.environ).items():
+        _log.warning("this setting does not exist", name=name, similar=similar)
     server: _Server | None = None
     address = ""
 
@@ -105,16 +124,12 @@ def serve(settings: Settings) -> int:
         if server is not None:
             server.fail()
 
-    try:
-        app = create_app(settings, on_fatal, on_ready)
-    except CloudError as error:
-        sys.stderr.write(f"model: {error.message}\n")
-        return 2
+    app = create_app(settings, on_fatal, on_ready)
     config = uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
-        http=ServerProtocol,
+        http=ServerProtocol.limited(_connections(settings)),
         ws="none",
         log_config=None,
         access_log=False,
@@ -132,27 +147,53 @@ def serve(settings: Settings) -> int:
         except OSError as error:
             _log.error("cannot listen", host=settings.host, port=port, reason=str(error))
             return 1
-        server = _Server(config, service, settings.drain_delay_s)
+        server = _Server(config, service)
         port = listener.getsockname()[1]
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
         address = f"http://{host}:{port}"
         sys.stdout.write(f"pugeo serves {address}\n")
         sys.stdout.flush()
-        server.run(sockets=[listener])
+        # An interrupt that comes before uvicorn handles signals.
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
     return 1 if server.failed else 0
+
+
+def _end_anyway() -> None:
+    """End this process and its workers at once."""
+    _log.error("the service did not end in time; it is ended", workers=end_children())
+    os._exit(1)
+
+
+def _connections(settings: Settings) -> int:
+    """Return the bound on connections, which leaves descriptors for files and workers."""
+    others = _OTHER_DESCRIPTORS + 4 * (settings.queue_requests + settings.jobs_running)
+    return max(_LEAST_CONNECTIONS, min(settings.max_connections, usable_descriptors() - others))
 
 
 @contextlib.contextmanager
 def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
-    """Serve metrics on a separate port, in a separate thread."""
-    server, thread = start_http_server(port, host, telemetry.registry)
-    _log.info("metrics", port=server.server_port)
-    try:
-        yield
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    """Serve metrics on a separate port, in a separate thread, with the limits of the service."""
+    with _listen(host, port) as listener:
+        config = uvicorn.Config(
+            make_asgi_app(telemetry.registry),
+            http=ServerProtocol.limited(_METRICS_CONNECTIONS),
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        _log.info("metrics", port=listener.getsockname()[1])
+        try:
+            yield
+        finally:
+            server.should_exit = True
+            thread.join(_METRICS_STOP_S)
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,22 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings from the environment (``PUGEO_*``) or the command line."""
 
+import difflib
 import os
 import re
+import ssl
 import tempfile
+from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from sqlalchemy import make_url
+from sqlalchemy.exc import ArgumentError
 
 from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
 
-__all__ = ["Settings"]
+__all__ = ["Settings", "explain", "unknown_names"]
 
 MIB = 1 << 20
 _ORIGIN = re.compile(r"https?://[^/\s,*?#]+")
+_TEN_YEARS_S = 315_360_000
+# Finite: an infinite number of seconds reaches dates, timers and the database, which have none.
+Seconds = Annotated[float, Field(gt=0, le=_TEN_YEARS_S, allow_inf_nan=False)]
+_LEAST_WORKER_BYTES = 768 * MIB  # the model alone takes 600
+_ADDRESS = re.compile(r"tls://(\[[0-9a-fA-F:.]+\]|[^/:@\s]+):[0-9]{1,5}")
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)", re.IGNORECASE)
+_POWERS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
+# Names that the command line, the SDK and the files of docker compose read.
+_OTHER_NAMES = frozenset({
+    "PUGEO_API_KEY", "PUGEO_BIND", "PUGEO_CACHE", "PUGEO_CPUS", "PUGEO_MEMORY", "PUGEO_PUBLIC_PORT",
+    "PUGEO_PYTHON", "PUGEO_REPLICAS", "PUGEO_URL",
+})  # fmt: skip
 
 
 class Settings(BaseSettings):
@@ -50,10 +69,15 @@ class Settings(BaseSettings):
         Literal["dask", "inline"],
         Field(description="inline: threads in this process, for debugging"),
     ] = "dask"
-    workers: Annotated[int, Field(ge=0, description="0: one per processor, at least two")] = 0
+    workers: Annotated[
+        int, Field(ge=0, le=1024, description="0: one per processor, at least two")
+    ] = 0
     worker_memory: Annotated[
         str, Field(description="memory limit of a worker in bytes, or as a fraction of all memory")
     ] = "auto"
+    start_s: Annotated[
+        Seconds, Field(description="maximum seconds until the first worker is ready")
+    ] = 300.0
     scheduler: Annotated[
         str | None, Field(description="tls://host:port of an external Dask cluster")
     ] = None
@@ -63,24 +87,44 @@ class Settings(BaseSettings):
 
     max_body_bytes: Annotated[int, Field(ge=1)] = 256 * MIB
     max_points: Annotated[int, Field(ge=1)] = 5_000_000
+    max_cloud_bytes: Annotated[
+        int, Field(ge=1, description="maximum bytes of an input with all attributes, unpacked")
+    ] = 512 * MIB
     max_output_points: Annotated[int, Field(ge=1)] = 20_000_000
+    max_output_bytes: Annotated[
+        int, Field(ge=1, description="maximum bytes of the points of an answer with all attributes")
+    ] = 2048 * MIB
     queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
         4096
     )
-    queue_bytes: Annotated[int, Field(ge=1, description="bytes of bodies at one time")] = 1024 * MIB
+    queue_bytes: Annotated[
+        int, Field(ge=1, description="bytes of bodies and answers at one time")
+    ] = 1024 * MIB
     queue_requests: Annotated[int, Field(ge=1, description="capacity of the queue in requests")] = (
         64
     )
 
-    deadline_s: Annotated[float, Field(gt=0, description="maximum seconds of a request")] = 600.0
+    deadline_s: Annotated[Seconds, Field(description="maximum seconds of a request")] = 600.0
     body_idle_s: Annotated[
-        float, Field(gt=0, description="maximum seconds between two chunks of a body")
+        Seconds, Field(description="maximum seconds between two chunks of a body")
     ] = 30.0
+    max_connections: Annotated[
+        int, Field(ge=1, description="maximum number of open connections")
+    ] = 4096
     drain_delay_s: Annotated[
-        float, Field(ge=0, description="seconds to answer 'draining' before the port closes")
+        float,
+        Field(
+            ge=0,
+            le=_TEN_YEARS_S,
+            allow_inf_nan=False,
+            description="seconds to answer 'draining' before the port closes",
+        ),
     ] = 0.0
     drain_s: Annotated[
-        int, Field(ge=1, description="seconds after SIGTERM to finish admitted requests")
+        int,
+        Field(
+            ge=1, le=_TEN_YEARS_S, description="seconds after SIGTERM to finish admitted requests"
+        ),
     ] = 60
     spool_dir: Annotated[
         Path, Field(description="folder for temporary files of bodies and answers")
@@ -102,10 +146,8 @@ class Settings(BaseSettings):
     jobs_attempts: Annotated[
         int, Field(ge=1, description="crashes of the service during one job before that job fails")
     ] = 5
-    jobs_ttl_s: Annotated[float, Field(gt=0, description="seconds until a result is deleted")] = (
-        86400.0
-    )
-    jobs_deadline_s: Annotated[float, Field(gt=0, description="maximum seconds of a job")] = 3600.0
+    jobs_ttl_s: Annotated[Seconds, Field(description="seconds until a result is deleted")] = 86400.0
+    jobs_deadline_s: Annotated[Seconds, Field(description="maximum seconds of a job")] = 3600.0
 
     @field_validator("api_keys", mode="before")
     @classmethod
@@ -138,29 +180,102 @@ class Settings(BaseSettings):
     @classmethod
     def _encrypted(cls, value: str | None) -> str | None:
         # A scheduler executes any code it receives, so only mutual TLS is allowed.
-        if value is not None and not value.startswith("tls://"):
+        if value is not None and not _ADDRESS.fullmatch(value):
             raise ValueError("must be tls://host:port")
         return value
 
     @field_validator("database_url")
     @classmethod
     def _database(cls, value: str | None) -> str | None:
-        if value is not None and not value.startswith(("postgresql://", "sqlite:///")):
-            raise ValueError("must be postgresql://user:password@host/name or sqlite:///path")
+        if value is None:
+            return None
+        wanted = "must be postgresql://user:password@host/name or sqlite:///path"
+        if not value.startswith(("postgresql://", "sqlite:///")):
+            raise ValueError(wanted)
+        try:
+            url = make_url(value)
+        except (ArgumentError, ValueError):
+            # The error would quote a part of the address, which may be the password.
+            raise ValueError(wanted) from None
+        if url.get_backend_name() == "postgresql" and find_spec("pg8000") is None:
+            raise ValueError("PostgreSQL needs: pip install 'pugeo[postgres]'")
+        return value
+
+    @field_validator("spool_dir", "jobs_dir", "tls_ca", "tls_cert", "tls_key", mode="before")
+    @classmethod
+    def _path(cls, value: Any) -> Any:
+        # An empty path would be the current folder.
+        if value == "":
+            raise ValueError("names no file or folder; unset it for the default")
         return value
 
     @field_validator("spool_dir")
     @classmethod
     def _folder(cls, value: Path) -> Path:
         if not value.is_dir():
-            raise ValueError(f"{value} is not a folder")
+            raise ValueError("is not a folder")
+        try:
+            TemporaryFile(dir=value).close()
+        except OSError as error:
+            raise ValueError(f"no file can be made in this folder: {error.strerror}") from None
         return value
+
+    @field_validator("tls_ca", "tls_cert", "tls_key")
+    @classmethod
+    def _readable(cls, value: Path | None) -> Path | None:
+        try:
+            if value is not None:
+                value.open("rb").close()
+        except OSError as error:
+            raise ValueError(f"must be a file in PEM form: {error.strerror}") from None
+        return value
+
+    @field_validator("worker_memory")
+    @classmethod
+    def _memory(cls, value: str) -> str:
+        wanted = (
+            "must be auto, bytes such as 2GB (at least 768MiB), or a share of all memory above 0, "
+            "up to 1.0"
+        )
+        text = value.strip()
+        size = _SIZE.fullmatch(text)
+        if text == "auto":
+            return text
+        if size is None:
+            raise ValueError(wanted)
+        unit = size[2].lower()
+        if not unit and float(size[1]) <= 1:
+            allowed = float(size[1]) * _all_memory()
+        else:
+            base = 1024 if "i" in unit else 1000
+            allowed = float(size[1]) * base ** _POWERS[unit.rstrip("ib")]
+        if allowed < _LEAST_WORKER_BYTES:
+            raise ValueError(f"{wanted}; this is {int(allowed):,} bytes")
+        return text
 
     @model_validator(mode="after")
     def _credentials(self) -> Self:
         missing = [n for n in ("tls_ca", "tls_cert", "tls_key") if getattr(self, n) is None]
         if self.scheduler is not None and missing:
-            raise ValueError(f"an external scheduler needs {', '.join(missing)} as well")
+            names = ", ".join(f"PUGEO_{name.upper()}" for name in missing)
+            raise ValueError(f"PUGEO_SCHEDULER needs {names} as well")
+        if self.scheduler is not None:
+            context = ssl.create_default_context(ssl.Purpose.SERVER_AUTH)
+            try:
+                context.load_verify_locations(self.tls_ca)
+            except ssl.SSLError:
+                raise ValueError(
+                    f"PUGEO_TLS_CA={self.tls_ca}: no certificate in PEM form"
+                ) from None
+            try:
+                context.load_cert_chain(str(self.tls_cert), self.tls_key)
+            except ssl.SSLError as error:
+                raise ValueError(
+                    f"PUGEO_TLS_CERT={self.tls_cert}, PUGEO_TLS_KEY={self.tls_key}: no certificate "
+                    f"with its key in PEM form ({error.reason or error})"
+                ) from None
+        if self.metrics_port is not None and self.metrics_port == self.port != 0:
+            raise ValueError(f"PUGEO_METRICS_PORT={self.port} must differ from PUGEO_PORT")
         return self
 
     @property
@@ -192,3 +307,39 @@ class Settings(BaseSettings):
         At least two, so that one can serve while the other runs a long stage or is replaced.
         """
         return self.workers or max(2, available_cpus())
+
+
+# Values that may contain a secret.
+_SECRET = frozenset({"api_keys", "database_url"})
+
+
+def explain(error: ValidationError) -> Iterator[str]:
+    """Yield a line for each wrong setting: its name, its value, and the values that are allowed."""
+    for entry in error.errors():
+        message = entry["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        if not entry["loc"]:
+            yield message
+            continue
+        field = str(entry["loc"][0])
+        value = "..." if field in _SECRET else str(entry["input"])[:80]
+        yield f"PUGEO_{field.upper()}={value}: {message}"
+
+
+def unknown_names(environment: Iterable[str]) -> dict[str, str | None]:
+    """Return the names ``PUGEO_*`` that no part of pugeo reads, each with a similar one if any."""
+    known = {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
+    found: dict[str, str | None] = {}
+    for name in sorted(environment):
+        upper = name.upper()
+        ours = upper.startswith("PUGEO_") and not upper.startswith("PUGEO_TEST_")
+        if ours and upper not in known | _OTHER_NAMES:
+            similar = difflib.get_close_matches(upper, known, 1)
+            found[name] = similar[0] if similar else None
+    return found
+
+
+def _all_memory() -> int:
+    """Return the bytes of memory that all processes together may use, as Dask counts them."""
+    from distributed.system import MEMORY_LIMIT
+
+    return MEMORY_LIMIT

@@ -97,6 +97,7 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
             stdout=subprocess.PIPE,
             stderr=stderr,
             text=True,
+            process_group=0,  # as a shell starts it
             env={**os.environ, "PUGEO_WORKERS": "2", "PUGEO_LOG_FORMAT": "json", **environment},
         )
     try:

@@ -2,6 +2,8 @@
 """Life cycle of a service: start, full queue, drain, end, external cluster."""
 
 import io
+import os
+import resource
 import signal
 import socket
 import subprocess
@@ -118,8 +120,8 @@ def test_full_and_late(launch: Any) -> None:
     ("options", "status", "words"),
     [
         (["--model", "nothing"], 2, "no weights 'nothing'"),
-        (["--workers", "-1"], 2, "workers"),
-        (["--engine", "magic"], 2, "engine"),
+        (["--workers", "-1"], 2, "PUGEO_WORKERS=-1: "),
+        (["--engine", "magic"], 2, "PUGEO_ENGINE=magic: "),
         (["--scheduler", "tcp://somewhere:8786"], 2, "tls://"),
         (["--spool-dir", "/nowhere"], 2, "not a folder"),
     ],
@@ -144,16 +146,25 @@ def test_a_port_that_is_taken() -> None:
     assert "cannot listen" in ended.stderr
 
 
-def test_weights_that_do_not_load(tmp_path: Path, launch: Any) -> None:
-    """If no worker can start, because of broken weights, the service ends with status 1."""
-    from pugeo_model import weights
-
-    released = Path(weights.__file__).with_name("released")
-    (tmp_path / "broken.json").write_bytes((released / "standard.json").read_bytes())
-    (tmp_path / "broken.safetensors").write_bytes(b"not weights at all")
-    with launch("--model", str(tmp_path / "broken.safetensors")) as server:
+def test_workers_that_cannot_start(launch: Any) -> None:
+    """If no worker can start, for lack of memory, the service says so and ends with status 1."""
+    # The front needs 0.7 GB of address space, a worker more than 1 GB.
+    limits = (1_000_000_000, 1_000_000_000)
+    with launch("--workers", "1", PUGEO_START_S="100") as server:
+        resource.prlimit(server.process.pid, resource.RLIMIT_AS, limits)
         assert server.process.wait(300) == 1
-        assert "the engine cannot start" in server.log.read_text()
+        last = [line for line in server.log.read_text().splitlines() if "cannot start" in line]
+        assert "about 1 GB of memory and address space" in last[-1] or "kernels" in last[-1]
+
+
+def test_ctrl_c_before_ready(launch: Any) -> None:
+    """An interrupt of the whole process group ends a service that starts, without a traceback."""
+    with launch("--workers", "1") as server:
+        time.sleep(1.5)  # while the worker imports
+        os.killpg(server.process.pid, signal.SIGINT)
+        assert server.process.wait(100) == 0
+        assert "Traceback" not in server.log.read_text()
+        assert "KeyboardInterrupt" not in server.log.read_text()
 
 
 def points(data: bytes) -> NDArray[Any]:

@@ -24,7 +24,7 @@ def test_methods_of_the_protocol() -> None:
     """Each overridden method exists in uvicorn's protocol, except our own helpers."""
     helpers = {
         "_start_timer", "_cancel_timer", "_on_timeout", "_start_read_timer", "_check_reader",
-        "_cancel_linger_timer", "_cancel_read_timer",
+        "_cancel_linger_timer", "_cancel_read_timer", "_unread",
     }  # fmt: skip
     for kind in (RequestLimits, ServerProtocol):
         methods = {name for name, value in vars(kind).items() if inspect.isfunction(value)}
@@ -38,7 +38,7 @@ def test_attributes_of_the_protocol() -> None:
     config = uvicorn.Config(lambda: None, http=HttpToolsProtocol, log_config=None)
     config.load()
     protocol = HttpToolsProtocol(config, ServerState(), {}, loop)
-    for name in ("cycle", "pipeline", "loop", "transport"):
+    for name in ("connections", "cycle", "pipeline", "loop", "transport"):
         assert hasattr(protocol, name), name
     loop.close()
     source = inspect.getsource(RequestResponseCycle.__init__)

@@ -114,7 +114,7 @@ def test_wrong_method(client: TestClient) -> None:
     """405 of the framework is a problem, and its header names the methods of all the routes."""
     response = client.post("/number")
     assert (response.status_code, response.json()["code"]) == (405, "method_not_allowed")
-    assert response.headers["allow"] == "DELETE, GET"
+    assert response.headers["allow"] == "DELETE, GET, HEAD"
 
 
 def test_invalid_parameter(client: TestClient) -> None:

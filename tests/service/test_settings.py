@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings come from the environment or the command line, and wrong ones are refused."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
 from pugeo_service import settings as module
-from pugeo_service.settings import Settings
+from pugeo_service.settings import Settings, explain, unknown_names
 
 
 def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +46,8 @@ def test_an_open_scheduler_is_refused(address: str) -> None:
 
 def test_a_scheduler_needs_credentials(tmp_path: Path) -> None:
     """The error names every missing file."""
-    with pytest.raises(ValidationError, match="tls_cert, tls_key"):
+    (tmp_path / "ca.pem").touch()
+    with pytest.raises(ValidationError, match="PUGEO_TLS_CERT, PUGEO_TLS_KEY"):
         Settings(scheduler="tls://scheduler:8786", tls_ca=tmp_path / "ca.pem")
 
 
@@ -52,3 +55,122 @@ def test_a_spool_folder_must_exist(tmp_path: Path) -> None:
     """A missing folder is an error at the start."""
     with pytest.raises(ValidationError, match="not a folder"):
         Settings(spool_dir=tmp_path / "missing")
+
+
+SECONDS = ["deadline_s", "body_idle_s", "jobs_ttl_s", "jobs_deadline_s", "drain_delay_s", "drain_s"]
+
+
+@pytest.mark.parametrize("name", SECONDS)
+@pytest.mark.parametrize("value", ["inf", "nan", "-1", "1e300", "soon"])
+def test_seconds_are_finite(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
+    """No number of seconds is infinite, NaN, negative or longer than ten years."""
+    (line,) = refused(monkeypatch, name, value)
+    assert line.startswith(f"PUGEO_{name.upper()}={value}: ")
+
+
+@pytest.mark.parametrize(
+    "value", ["", "0.001", "100MB", "700 MiB", "abc", "-1GB", "nan", "1.5", "0"]
+)
+def test_a_worker_has_memory_for_the_model(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    """Memory in which no worker could start is refused, with the values that are allowed."""
+    (line,) = refused(monkeypatch, "worker_memory", value)
+    assert line.startswith(f"PUGEO_WORKER_MEMORY={value}: must be auto, bytes such as 2GB")
+
+
+@pytest.mark.parametrize("value", ["auto", "2GB", "1.5 GiB", "2000000000", "1.0", "1"])
+def test_memory_that_suffices(value: str) -> None:
+    """Sizes, shares and ``auto`` are taken as they are."""
+    assert Settings(worker_memory=value).worker_memory == value
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "",
+        "mysql://a:hush@host/name",
+        "postgresql://a:hush@host:port/name",
+        "postgresql://a:hush@[::1",
+    ],
+)
+def test_a_password_is_not_repeated(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    """A wrong address of a database is refused without its text, which may hold a password."""
+    (line,) = refused(monkeypatch, "database_url", value)
+    assert line.startswith("PUGEO_DATABASE_URL=...: must be postgresql://")
+    assert "hush" not in line
+
+
+def test_a_key_is_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong entry of a key is refused without its text, which may be the key itself."""
+    (line,) = refused(monkeypatch, "api_keys", "pugeo_hush")
+    assert line.startswith("PUGEO_API_KEYS=...: entry 1 is not NAME:SHA256")
+
+
+@pytest.mark.parametrize("name", ["spool_dir", "jobs_dir", "tls_ca", "tls_cert", "tls_key"])
+def test_an_empty_path_is_not_the_current_folder(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """An empty path is refused."""
+    (line,) = refused(monkeypatch, name, "")
+    assert line.startswith(f"PUGEO_{name.upper()}=: names no file or folder")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_a_spool_folder_takes_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder in which no file can be made is refused."""
+    (line,) = refused(monkeypatch, "spool_dir", "/proc")
+    assert line.startswith("PUGEO_SPOOL_DIR=/proc: no file can be made")
+
+
+def test_certificates_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, root: Path) -> None:
+    """Files that are missing, or no certificates, are refused by name; a good set is taken."""
+    files = {
+        name: tmp_path / "made" / f"{name[4:]}.pem" for name in ("tls_ca", "tls_cert", "tls_key")
+    }
+    monkeypatch.setenv("PUGEO_SCHEDULER", "tls://scheduler:8786")
+    for name, path in files.items():
+        monkeypatch.setenv(f"PUGEO_{name.upper()}", str(path))
+    assert [line.partition("=")[0] for line in lines()] == [
+        "PUGEO_TLS_CA", "PUGEO_TLS_CERT", "PUGEO_TLS_KEY",
+    ]  # fmt: skip
+    command = [sys.executable, str(root / "deploy/make_certs.py"), str(tmp_path / "made")]
+    subprocess.run(command, check=True)
+    assert Settings().tls_ca == files["tls_ca"]
+    good = files["tls_key"].read_bytes()
+    for name in ("tls_key", "tls_ca"):
+        files[name].write_bytes(b"no certificate")
+        (line,) = lines()
+        assert f"PUGEO_{name.upper()}={files[name]}" in line
+        files[name].write_bytes(good)
+
+
+@pytest.mark.parametrize("address", ["tls://", "tls://host", "tls://host:", "tls://a:b@host:1"])
+def test_a_scheduler_has_host_and_port(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    """An address without host or port is refused."""
+    (line,) = refused(monkeypatch, "scheduler", address)
+    assert line == f"PUGEO_SCHEDULER={address}: must be tls://host:port"
+
+
+def test_ports_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Metrics cannot have the port of the service."""
+    monkeypatch.setenv("PUGEO_PORT", "9100")
+    (line,) = refused(monkeypatch, "metrics_port", "9100")
+    assert line == "PUGEO_METRICS_PORT=9100 must differ from PUGEO_PORT"
+
+
+def test_mistyped_names_are_found() -> None:
+    """A name that no part reads is reported with a similar one; others are left alone."""
+    names = ["PUGEO_WORKER", "pugeo_port", "PUGEO_URL", "PUGEO_TEST_X", "HOME", "PUGEO_ZZZZZZZZ"]
+    assert unknown_names(names) == {"PUGEO_WORKER": "PUGEO_WORKERS", "PUGEO_ZZZZZZZZ": None}
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> list[str]:
+    """The lines about a setting of the environment that is refused."""
+    monkeypatch.setenv(f"PUGEO_{name.upper()}", value)
+    return lines()
+
+
+def lines() -> list[str]:
+    """The lines about settings of the environment that are refused."""
+    with pytest.raises(ValidationError) as caught:
+        Settings()
+    return list(explain(caught.value))

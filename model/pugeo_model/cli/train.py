@@ -8,6 +8,7 @@ import typer
 from rich.progress import TextColumn
 
 from pugeo_model.cli.display import progress_bar, say
+from pugeo_model.cli.tasks import needed_extra
 
 __all__ = ["train"]
 
@@ -36,8 +37,11 @@ def train(
     """Train on a folder of meshes; a run in the same folder is resumed exactly."""
     from dataclasses import replace
 
-    from pugeo_model.training.recipes import read_recipe, with_ratio
-    from pugeo_model.training.run import load_shapes, run
+    try:
+        from pugeo_model.training.recipes import read_recipe, with_ratio
+        from pugeo_model.training.run import load_shapes, run
+    except ModuleNotFoundError as missing:
+        raise needed_extra(missing, "train") from missing
 
     chosen: dict[str, Any] = {"steps": steps, "seed": seed, "threads": threads, "start": start}
     wanted = replace(read_recipe(recipe), **{k: v for k, v in chosen.items() if v is not None})

@@ -28,7 +28,7 @@ from pugeo_model.formats import (
     stl,
     xyz,
 )
-from pugeo_model.formats.limits import DEFAULT_LIMITS, Limits
+from pugeo_model.formats.limits import DEFAULT_LIMITS, Declared, Limits
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
 __all__ = [
@@ -37,10 +37,12 @@ __all__ = [
     "HEAD_BYTES",
     "WRITABLE",
     "ByRows",
+    "Declared",
     "Format",
     "Limits",
     "Reader",
     "by_rows",
+    "declared",
     "detect",
     "dropped",
     "output_format",
@@ -53,6 +55,9 @@ __all__ = [
 
 class Reader(Protocol):
     """Names that a module must have to be a format that is read.
+
+    A format whose header states the number of points has a function ``declared(file, limits)`` too,
+    which returns a `Declared`.
 
     Attributes:
         NAME: key in ``FORMATS``.
@@ -171,12 +176,42 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
         if module is None:
             name = os.fspath(source) if isinstance(source, str | os.PathLike) else None
             module = FORMATS[detect(file, name=name)]
+        # Before the first point: a small compressed file may unpack to more than the memory.
+        size = _declared_by(module, file, limits)
+        if size is not None:
+            size.check(limits)
         cloud = module.read(file, limits)
     info = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
     notes = cloud.notes
     if module.NAME not in WRITABLE:
         notes += (f"{module.NAME.upper()} is only read: the output is PLY by default.",)
     return replace(cloud, source=info, notes=notes)
+
+
+def declared(
+    source: Source, *, format: str | None = None, limits: Limits = DEFAULT_LIMITS
+) -> Declared | None:
+    """Return the size of a cloud as the header of its file states it, without reading its points.
+
+    Args:
+        source: see `read`.
+        format: see `read`.
+        limits: checked against the header.
+
+    Returns:
+        The size; ``None`` if the header of this format states none (text, JSON, E57, PTX).
+
+    Raises:
+        MalformedFileError, UnsupportedFormatError, LimitExceededError, OSError: see `read`.
+    """
+    module = None if format is None else _reader(format)
+    with seekable(source, limits) as file:
+        if module is None:
+            module = FORMATS[detect(file)]
+        size = _declared_by(module, file, limits)
+    if size is not None:
+        size.check(limits)
+    return size
 
 
 def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
@@ -250,6 +285,16 @@ def written_as(path: str | os.PathLike[str]) -> str:
             formats=list(WRITABLE),
         )
     return key or "ply"
+
+
+def _declared_by(module: Reader, file: IO[bytes], limits: Limits) -> Declared | None:
+    """Return the declared size; the position of the file stays."""
+    if not hasattr(module, "declared"):
+        return None
+    here = file.tell()
+    size: Declared | None = module.declared(file, limits)
+    file.seek(here)
+    return size
 
 
 def _reader(name: str) -> Reader:

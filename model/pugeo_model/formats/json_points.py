@@ -194,12 +194,22 @@ def _to_scalar(name: str, raw: msgspec.Raw, count: int, limits: Limits) -> NDArr
     if not items:
         return np.empty(0)
     try:
-        values = np.array(items, np.float64 if None in items else None)
+        values = np.array(items, _number_type(items))
     except OverflowError:
         values = np.empty(0, object)
     if values.dtype.kind not in "fiub":
         raise _bad(f"$.{key}: a whole number is beyond 64 bits.", key=key)
     return values
+
+
+def _number_type(items: list[Any]) -> type[np.generic] | None:
+    """Return the type of some numbers where numpy's own choice would round them."""
+    if None in items:
+        return np.float64
+    # Numbers on both sides of 2^63 would become doubles.
+    if all(type(item) is int for item in items) and 0 <= min(items) < 2**63 <= max(items):
+        return np.uint64
+    return None
 
 
 def _bad(message: str, **fields: Any) -> MalformedFileError:

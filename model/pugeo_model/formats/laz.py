@@ -4,10 +4,10 @@
 from typing import IO
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.formats.las import drops, read
+from pugeo_model.formats.las import declared, drops, read
 from pugeo_model.formats.las.encode import encode
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "drops", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "declared", "drops", "read", "sniff", "write"]
 
 NAME = "laz"
 EXTENSIONS: tuple[str, ...] = (".laz",)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pugeo_model.errors import LimitExceededError
 
-__all__ = ["DEFAULT_LIMITS", "Limits"]
+__all__ = ["DEFAULT_LIMITS", "Declared", "Limits"]
 
 
 @dataclass(frozen=True)
@@ -14,9 +14,10 @@ class Limits:
 
     Attributes:
         max_points: points of a cloud.
-        max_header_bytes: bytes of a PLY header, and of a zip archive's directory.
+        max_header_bytes: bytes of a PLY or PCD header, of a zip archive's directory, and of the
+            header of an array.
         max_header_lines: lines of a PLY header.
-        max_bytes: bytes of a file, and of the arrays that an archive unpacks to.
+        max_bytes: bytes of a file, and of the points with all attributes that it unpacks to.
     """
 
     max_points: int = 20_000_000
@@ -38,6 +39,30 @@ class Limits:
                 limit=limit,
                 value=value,
             )
+
+
+@dataclass(frozen=True)
+class Declared:
+    """Size of a cloud as the header of its file states it.
+
+    Attributes:
+        points: number of points.
+        row_bytes: bytes of a point with its attributes.
+    """
+
+    points: int
+    row_bytes: int
+
+    def check(self, limits: Limits) -> None:
+        """Refuse a cloud that is larger than the limits.
+
+        Raises:
+            LimitExceededError: more points, or more bytes once unpacked.
+        """
+        limits.check("max_points", self.points, "Points of the cloud")
+        limits.check(
+            "max_bytes", self.points * self.row_bytes, "Bytes of the points with all attributes"
+        )
 
 
 DEFAULT_LIMITS = Limits()

@@ -8,9 +8,9 @@ from numpy.lib import format as npy
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats.colors import to_uint8
-from pugeo_model.formats.npz import NPY_MAGIC, read
+from pugeo_model.formats.npz import NPY_MAGIC, declared, read
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "drops", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "declared", "drops", "read", "sniff", "write"]
 
 NAME = "npy"
 EXTENSIONS: tuple[str, ...] = (".npy",)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """NumPy archives (``.npz``), without pickles; reads single arrays (``.npy``) as well."""
 
+import io
 import math
 import re
 import struct
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import CloudError, LimitExceededError, MalformedFileError
 from pugeo_model.formats.colors import to_channels
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.meaning import from_array
 from pugeo_model.formats.stream import bytes_left
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "NPY_MAGIC", "read", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "NPY_MAGIC", "declared", "read", "sniff", "write"]
 
 NAME = "npz"
 EXTENSIONS: tuple[str, ...] = (".npz",)
@@ -35,6 +36,11 @@ _KNOWN = ("points", "normals", "colors")
 _READ_BYTES = 1 << 20
 _FEWEST_COLUMNS, _MOST_COLUMNS = 3, 256  # of a single array
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Version of the npy format -> bytes of the length of a header, and numpy's parser of it.
+_HEADERS: dict[tuple[int, int], tuple[int, Callable[..., Any]]] = {
+    (1, 0): (2, npy.read_array_header_1_0),
+    (2, 0): (4, npy.read_array_header_2_0),
+}
 
 
 def sniff(head: bytes) -> bool:
@@ -58,23 +64,32 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         MalformedFileError: truncated, pickled, of a wrong shape or type.
         LimitExceededError: more points or bytes than ``limits``.
     """
-    head = file.read(len(NPY_MAGIC))
-    file.seek(-len(head), 1)
-    if head != NPY_MAGIC:
+    if not _is_array(file):
         return _read_archive(file, limits)
     with _as_malformed("The array"):
-        declared = _declared(file, "array")
-        shape = declared.shape
-        wide = len(shape) == 2 and _FEWEST_COLUMNS <= shape[1] <= _MOST_COLUMNS
-        if not wide or declared.dtype.kind not in "fiu":
-            raise _bad(
-                f"A single array must be numeric of shape (M, 3), or have up to {_MOST_COLUMNS} "
-                f"columns more, not {declared}. An npz archive names its columns."
-            )
-        limits.check("max_points", shape[0], "Points of the array")
-        limits.check("max_bytes", declared.size, "Bytes of the array")
-        values = declared.read(file, bytes_left(file))
+        array = _single_array(file, limits)
+        values = array.read(file, bytes_left(file))
     return from_array(values)
+
+
+def declared(file: IO[bytes], limits: Limits) -> Declared:
+    """Return the size of a cloud as the headers of its arrays state it; nothing is unpacked.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: bounds of headers, points and bytes.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    if _is_array(file):
+        with _as_malformed("The array"):
+            array = _single_array(file, limits)
+        return Declared(array.shape[0], array.shape[1] * array.dtype.itemsize)
+    _check_directory(file, limits)
+    with _as_malformed("The archive"), zipfile.ZipFile(file) as archive:
+        contents = _contents(archive, limits)
+        return Declared(contents.count, sum(each.row_bytes for each in contents.wanted))
 
 
 def write(cloud: Cloud, file: IO[bytes]) -> None:
@@ -114,6 +129,11 @@ class _Declared:
         """Bytes of its data."""
         return math.prod(self.shape) * self.dtype.itemsize
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one point."""
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
     def read(self, file: IO[bytes], found: int) -> NDArray[Any]:
         """Read the data that follow the header, ``found`` bytes at most."""
         if self.size > found:
@@ -141,15 +161,55 @@ class _Declared:
         )
 
 
-def _declared(file: IO[bytes], name: str) -> _Declared:
-    readers: dict[tuple[int, int], Callable[..., Any]] = {
-        (1, 0): npy.read_array_header_1_0,
-        (2, 0): npy.read_array_header_2_0,
-    }
+@dataclass(frozen=True)
+class _Contents:
+    """The arrays of an archive as their headers describe them.
+
+    Attributes:
+        arrays: all of them by name.
+        entries: their places in the archive.
+        count: number of points.
+        wanted: those that belong to the cloud.
+    """
+
+    arrays: dict[str, _Declared]
+    entries: dict[str, zipfile.ZipInfo]
+    count: int
+    wanted: list[_Declared]
+
+
+def _is_array(file: IO[bytes]) -> bool:
+    """Return whether a file is a single array; its position stays."""
+    head = file.read(len(NPY_MAGIC))
+    file.seek(-len(head), 1)
+    return head == NPY_MAGIC
+
+
+def _single_array(file: IO[bytes], limits: Limits) -> _Declared:
+    array = _declared(file, "array", limits)
+    shape = array.shape
+    wide = len(shape) == 2 and _FEWEST_COLUMNS <= shape[1] <= _MOST_COLUMNS
+    if not wide or array.dtype.kind not in "fiu":
+        raise _bad(
+            f"A single array must be numeric of shape (M, 3), or have up to {_MOST_COLUMNS} "
+            f"columns more, not {array}. An npz archive names its columns."
+        )
+    limits.check("max_points", shape[0], "Points of the array")
+    limits.check("max_bytes", array.size, "Bytes of the array")
+    return array
+
+
+def _declared(file: IO[bytes], name: str, limits: Limits) -> _Declared:
     version = npy.read_magic(file)
-    if version not in readers:
+    if version not in _HEADERS:
         raise _bad(f"Array {name!r} has version {version} of the npy format, not 1.0 or 2.0.")
-    shape, fortran, dtype = readers[version](file)
+    width, parse = _HEADERS[version]
+    # numpy would read as many bytes as the header claims to have, and a deflated member of some
+    # kilobytes unpacks to gigabytes of blanks.
+    length = file.read(width)
+    claimed = int.from_bytes(length, "little")
+    limits.check("max_header_bytes", claimed, f"Bytes of the header of array {name!r}")
+    shape, fortran, dtype = parse(io.BytesIO(length + file.read(claimed)))
     if dtype.hasobject:
         raise _bad(f"Array {name!r} holds Python objects, which are never unpickled.")
     if any(extent < 0 for extent in shape):
@@ -157,39 +217,47 @@ def _declared(file: IO[bytes], name: str) -> _Declared:
     return _Declared(name, shape, fortran, dtype)
 
 
+def _contents(archive: zipfile.ZipFile, limits: Limits) -> _Contents:
+    """Read the headers of all arrays and check them against the limits."""
+    arrays: dict[str, _Declared] = {}
+    entries: dict[str, zipfile.ZipInfo] = {}
+    for entry in archive.infolist():
+        name = entry.filename.removesuffix(".npy")
+        if name in entries:
+            raise _bad(f"Array {name!r} is in the archive twice.")
+        _check_method(name, entry)
+        entries[name] = entry
+        with archive.open(entry) as member:
+            arrays[name] = _declared(member, name, limits)
+    if "points" not in arrays:
+        found = ", ".join(sorted(arrays)[:20]) or "nothing"
+        raise _bad(f"The archive has no array 'points' (M, 3); it holds {found}.")
+    count = _check_known(arrays)
+    limits.check("max_points", count, "Points of the archive")
+    wanted = [each for each in arrays.values() if each.name in _KNOWN or _is_scalar(each, count)]
+    total = sum(each.size for each in wanted)
+    limits.check("max_bytes", total, "Bytes that the archive unpacks to")
+    return _Contents(arrays, entries, count, wanted)
+
+
 def _read_archive(file: IO[bytes], limits: Limits) -> Cloud:
     _check_directory(file, limits)
     with _as_malformed("The archive"), zipfile.ZipFile(file) as archive:
-        declared: dict[str, _Declared] = {}
-        entries: dict[str, zipfile.ZipInfo] = {}
-        for entry in archive.infolist():
-            name = entry.filename.removesuffix(".npy")
-            if name in entries:
-                raise _bad(f"Array {name!r} is in the archive twice.")
-            _check_method(name, entry)
-            entries[name] = entry
-            with archive.open(entry) as member:
-                declared[name] = _declared(member, name)
-        if "points" not in declared:
-            found = ", ".join(sorted(declared)[:20]) or "nothing"
-            raise _bad(f"The archive has no array 'points' (M, 3); it holds {found}.")
-        count = _check_known(declared)
-        limits.check("max_points", count, "Points of the archive")
-        wanted = [n for n, d in declared.items() if n in _KNOWN or _is_scalar(d, count)]
-        total = sum(declared[name].size for name in wanted)
-        limits.check("max_bytes", total, "Bytes that the archive unpacks to")
+        contents = _contents(archive, limits)
         arrays: dict[str, NDArray[Any]] = {}
-        for name in wanted:
-            with archive.open(entries[name]) as member:
-                each = _declared(member, name)
-                arrays[name] = each.read(member, entries[name].file_size)
+        for array in contents.wanted:
+            entry = contents.entries[array.name]
+            with archive.open(entry) as member:
+                again = _declared(member, array.name, limits)
+                arrays[array.name] = again.read(member, entry.file_size)
 
     points = _points(arrays.pop("points"))
     normals = _normals(arrays.pop("normals")) if "normals" in arrays else None
     notes = [
-        f"Array {name!r} ({each}) is dropped: a scalar would be numeric of shape ({count},)."
-        for name, each in declared.items()
-        if name not in wanted
+        f"Array {name!r} ({each}) is dropped: a scalar would be numeric of shape "
+        f"({contents.count},)."
+        for name, each in contents.arrays.items()
+        if each not in contents.wanted
     ]
     colors: NDArray[Any] | None = None
     if "colors" in arrays:

@@ -7,9 +7,20 @@ from typing import IO
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import ply
-from pugeo_model.formats.ply import read
+from pugeo_model.formats.ply import declared, drops, read
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
+__all__ = [
+    "EXTENSIONS",
+    "MEDIA_TYPES",
+    "NAME",
+    "declared",
+    "drops",
+    "head",
+    "read",
+    "rows",
+    "sniff",
+    "write",
+]
 
 NAME = "ply-ascii"
 EXTENSIONS: tuple[str, ...] = ()

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud, SourceInfo
 from pugeo_model.errors import MalformedFileError
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.stream import CHUNK_BYTES, bytes_left
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "read", "sniff"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "declared", "read", "sniff"]
 
 NAME = "stl"
 EXTENSIONS: tuple[str, ...] = (".stl",)
@@ -55,7 +55,30 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     return Cloud(rows[first], notes=(note,), source=SourceInfo("stl"))
 
 
+def declared(file: IO[bytes], limits: Limits) -> Declared | None:
+    """Return the number of corners as a binary file states it; ``None`` of a text file.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: ``max_points`` bounds the corners.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    start = file.tell()
+    text = sniff(file.read(4096))
+    file.seek(start)
+    return None if text else Declared(3 * _count(file, limits), 12)
+
+
 def _read_binary(file: IO[bytes], limits: Limits) -> NDArray[np.float32]:
+    count = _count(file, limits)
+    rows = np.frombuffer(file.read(count * _TRIANGLE.itemsize), _TRIANGLE)
+    return rows["corners"].reshape(-1, 3).astype(np.float32)
+
+
+def _count(file: IO[bytes], limits: Limits) -> int:
+    """Read the header of a binary file; return the number of triangles."""
     found = bytes_left(file)
     header = file.read(_HEADER_BYTES)
     if len(header) < _HEADER_BYTES:
@@ -72,8 +95,7 @@ def _read_binary(file: IO[bytes], limits: Limits) -> NDArray[np.float32]:
             expected_rows=count,
             found_rows=max(0, found - _HEADER_BYTES) // _TRIANGLE.itemsize,
         )
-    rows = np.frombuffer(file.read(count * _TRIANGLE.itemsize), _TRIANGLE)
-    return rows["corners"].reshape(-1, 3).astype(np.float32)
+    return count
 
 
 def _read_text(file: IO[bytes], limits: Limits) -> NDArray[np.float64]:

@@ -15,11 +15,11 @@ from pugeo_model.formats.limits import Limits
 from pugeo_model.formats.meaning import are_whole, guess, standard_name
 from pugeo_model.formats.numbers import NumberLines, Rows
 from pugeo_model.formats.ply.columns import VertexColumns
-from pugeo_model.formats.ply.encode import body, columns
+from pugeo_model.formats.ply.encode import body, columns, rounded
 from pugeo_model.formats.ply.header import Element, Property
 from pugeo_model.formats.text_layout import Layout, as_utf8, find_layout, plain_head
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "head", "read", "rows", "sniff", "write"]
+__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "drops", "head", "read", "rows", "sniff", "write"]
 
 NAME = "xyz"
 EXTENSIONS: tuple[str, ...] = (
@@ -100,6 +100,11 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
     file.write(head(cloud, len(cloud)))
     for block in rows(cloud):
         file.write(block)
+
+
+def drops(cloud: Cloud) -> list[str]:
+    """Name the attributes that the format has no room for."""
+    return rounded(cloud)
 
 
 def head(cloud: Cloud, count: int) -> bytes:

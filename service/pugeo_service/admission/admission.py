@@ -15,7 +15,7 @@ from typing import Self
 from pugeo_service.admission.fair_share import check_share
 from pugeo_service.admission.throughput import PatchCost, Throughput
 from pugeo_service.engine.scheduling import LARGE_PATCHES
-from pugeo_service.problems import ProblemError
+from pugeo_service.problems import ProblemError, draining
 
 __all__ = ["Admission", "QueueUsage", "Reservation"]
 
@@ -37,7 +37,8 @@ class Admission:
     Args:
         max_patches: patches admitted and not yet finished. A request larger than this is admitted
             when the queue is empty; otherwise it could never be served.
-        max_bytes: bytes of bodies in memory or in the spool folder.
+        max_bytes: bytes of bodies and answers in memory or in the spool folder. An answer is not
+            refused once it is made, so those of the running requests may exceed it.
         max_requests: requests admitted and not yet finished.
 
     Attributes:
@@ -67,7 +68,7 @@ class Admission:
 
     @property
     def bytes(self) -> int:
-        """Bytes of bodies."""
+        """Bytes of bodies and of answers on their way out."""
         return self.usage.bytes
 
     @property
@@ -105,8 +106,7 @@ class Admission:
     def check_draining(self) -> None:
         """Raise a `ProblemError`, 503, if the service shuts down."""
         if self.draining:
-            detail = "The service is shutting down; another one may take the request."
-            raise ProblemError(503, "draining", detail, retry_after=5)
+            raise draining()
 
     def queue_full(self, patches: int) -> ProblemError:
         """Return the refusal of a request of ``patches``, with the time until it would fit."""
@@ -114,7 +114,10 @@ class Admission:
         excess = now.patches + patches - self.max_patches
         # If requests or bytes are exhausted and not patches, one request must end first.
         wait = self.throughput.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
-        detail = "The queue is full; try again after the time in Retry-After."
+        detail = (
+            "The queue is full (PUGEO_QUEUE_PATCHES, PUGEO_QUEUE_BYTES, PUGEO_QUEUE_REQUESTS); try "
+            "again after the time in Retry-After."
+        )
         fields = {
             "queued_patches": now.patches,
             "capacity_patches": self.max_patches,
@@ -209,6 +212,16 @@ class Reservation:
         if not self._closed:
             self._add(QueueUsage(patches=-min(patches, self.usage.patches)))
         self._admission.throughput.add(patches)
+
+    def hold_answer(self, size: int) -> None:
+        """Leave the queue, and hold the ``size`` bytes of the answer until the end of the block.
+
+        An answer on its way to a slow client takes room on the disk, and nothing else.
+        """
+        self._admission.admitted.pop(self, None)
+        self._add(QueueUsage(-self.usage.patches, size - self.usage.bytes, -self.usage.requests))
+        if self._admission.requests == 0:
+            self._admission.throughput.stop()
 
     def check_share(self, more: QueueUsage) -> None:
         """Refuse an addition that would exceed the owner's share; see `fair_share`.

@@ -2,7 +2,12 @@
 """The engine: each request is a graph of small tasks that worker processes run."""
 
 from pugeo_service.engine.engine import Engine
-from pugeo_service.engine.errors import DiskError, EngineLostError, WorkerLostError
+from pugeo_service.engine.errors import (
+    DiskError,
+    EngineLostError,
+    EngineStartError,
+    WorkerLostError,
+)
 from pugeo_service.engine.messages import BodyReader, RunRequest, RunResult
 
 __all__ = [
@@ -10,6 +15,7 @@ __all__ = [
     "DiskError",
     "Engine",
     "EngineLostError",
+    "EngineStartError",
     "RunRequest",
     "RunResult",
     "WorkerLostError",

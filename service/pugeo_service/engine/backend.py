@@ -53,6 +53,10 @@ class Backend(Protocol):
         """Their names, for ``submit``."""
 
     @property
+    def worker_memory(self) -> int | None:
+        """Bytes that each worker may use; ``None`` if they are unlimited or unknown."""
+
+    @property
     def lost_workers(self) -> int:
         """Workers that ended unexpectedly since the start."""
 

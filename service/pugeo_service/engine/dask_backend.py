@@ -8,7 +8,10 @@ tests/service/test_private_names.py checks that each name exists.
 import asyncio
 import contextlib
 import logging
+import os
 import secrets
+import signal
+import time
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -20,7 +23,9 @@ from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.backend import CORE, Handle, is_quick
-from pugeo_service.engine.errors import EngineLostError, WorkerLostError
+from pugeo_service.engine.children import end_children
+from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
+from pugeo_service.engine.heartbeats import HeartbeatWatch
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.worker import run_stage
 from pugeo_service.settings import Settings
@@ -66,8 +71,9 @@ _ONE_THREAD = dict.fromkeys(
 )
 _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
-_SILENCE_S = 10.0
-_RISE_S = 30.0
+_SILENCE_S = 3.0
+_RISE_S = 2.0
+_CLOSE_S = 20.0
 
 
 class _NoSpans:
@@ -92,6 +98,10 @@ class DaskBackend:
         self._client: Any = None
         self._poll: asyncio.Task[None] | None = None
         self._workers: frozenset[str] = frozenset()
+        self._heartbeats = HeartbeatWatch()
+        # Processes that are not workers yet, and the times at which they were first seen.
+        self._starting: dict[int, float] = {}
+        self.worker_memory: int | None = None
         self.lost_workers = 0
         self.retried_patches = 0
         # Distinguishes the tasks of this front from those of others at the same scheduler.
@@ -99,8 +109,11 @@ class DaskBackend:
 
     @property
     def warm_workers(self) -> int:
-        """Workers known to the scheduler; their preload warmed them before it knew them."""
-        return len(self._workers)
+        """Workers known to the scheduler; their preload warmed them before it knew them.
+
+        None without a connection to the scheduler, whose loss the client sees at once.
+        """
+        return len(self._workers) if getattr(self._client, "status", "") == "running" else 0
 
     @property
     def worker_names(self) -> tuple[str, ...]:
@@ -108,7 +121,11 @@ class DaskBackend:
         return tuple(sorted(self._workers))
 
     async def start(self) -> None:
-        """Start the cluster or reach it; returns once a worker is warm."""
+        """Start the cluster or reach it; returns once a worker is warm.
+
+        Raises:
+            EngineStartError: no worker process can start.
+        """
         dask.config.set(_CONFIG)
         for name in ("distributed", "distributed.nanny", "distributed.scheduler"):
             logging.getLogger(name).setLevel(logging.WARNING)
@@ -133,9 +150,19 @@ class DaskBackend:
             # Cancelling the start does not cancel this: a cluster can be closed when it is up, or
             # before it began, but not in between.
             self._rising = asyncio.ensure_future(self._cluster)
-            await asyncio.shield(self._rising)
+            try:
+                await asyncio.shield(self._rising)
+            except RuntimeError as error:
+                raise EngineStartError(
+                    "the worker processes end while they start; their own lines above say why, and "
+                    "each needs about 1 GB of memory and address space"
+                ) from error
         await self._connect()
-        await self._connected.wait_for_workers(1)
+        while not (await self._connected.scheduler.identity(n_workers=-1))["workers"]:
+            with contextlib.suppress(TimeoutError):
+                await self._connected.wait_for_workers(1, timeout=settings.start_s)
+                break
+            _log.warning("no worker has joined the scheduler", seconds=settings.start_s)
         await self._look()
         self._poll = asyncio.create_task(self._keep_looking())
 
@@ -145,12 +172,25 @@ class DaskBackend:
             self._poll.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._poll
-        if self._client is not None:
-            await self._client.close()
-        if self._rising is not None:
-            await asyncio.wait({self._rising}, timeout=_RISE_S)
-        if self._cluster is not None:
-            await self._cluster.close()
+        try:
+            if self._client is not None:
+                await asyncio.wait_for(self._client.close(), _CLOSE_S)
+            if self._rising is not None:
+                await asyncio.wait({self._rising}, timeout=_RISE_S)
+                if not self._rising.done():
+                    # A worker takes long to start, or hangs; its nanny reports the end as a fault.
+                    asyncio.get_running_loop().set_exception_handler(lambda _, __: None)
+                    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+                    logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)
+                    end_children()
+                    await asyncio.wait({self._rising}, timeout=_CLOSE_S)
+            if self._cluster is not None:
+                await asyncio.wait_for(self._cluster.close(), _CLOSE_S)
+        except Exception as error:  # noqa: BLE001 - whatever fails here, the processes must end
+            _log.warning("workers did not stop in order", reason=str(error) or type(error).__name__)
+        finally:
+            if self._cluster is not None:
+                end_children()
 
     def submit(
         self,
@@ -267,16 +307,51 @@ class DaskBackend:
         if scheduler is None:
             raise EngineLostError("the connection to the scheduler is closed")
         identity = await scheduler.identity(n_workers=-1)
+        hanging = self._heartbeats.hanging(
+            {address: worker["last_seen"] for address, worker in identity["workers"].items()},
+            self._pids(),
+        )
         workers = frozenset(
             worker["id"] if isinstance(worker["id"], str) else address
             for address, worker in identity["workers"].items()
             # Without a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
+            if address not in hanging
         )
+        limits = [worker.get("memory_limit") for worker in identity["workers"].values()]
+        self.worker_memory = min((limit for limit in limits if limit), default=None)
         self.lost_workers += len(self._workers - workers)
         self._workers = workers
         if self._cluster is not None:
+            self._end_hanging(hanging)
             self._replace_nannies()
+
+    def _pids(self) -> dict[str, int]:
+        """Return the process ids of our own workers by their addresses."""
+        nannies = [] if self._cluster is None else self._cluster.workers.values()
+        return {nanny.worker_address: nanny.pid for nanny in nannies if nanny.pid}
+
+    def _end_hanging(self, hanging: frozenset[str]) -> None:
+        """End workers that hang; their nannies start others, and Dask repeats their tasks."""
+        for address, pid in self._pids().items():
+            if address in hanging:
+                _log.error("a worker gives no sign; it is ended and replaced", pid=pid)
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        now = time.monotonic()
+        starting = {
+            nanny.process.process.pid
+            for nanny in self._cluster.workers.values()
+            if nanny.process is not None
+            and nanny.process.process is not None
+            and nanny.worker_address is None
+        }
+        self._starting = {pid: self._starting.get(pid, now) for pid in starting if pid}
+        for pid, since in self._starting.items():
+            if now - since > self._settings.start_s:
+                _log.error("a worker does not start; it is ended and replaced", pid=pid)
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
 
     def _replace_nannies(self) -> None:
         """Replace nanny processes that gave up, for example because of too little memory."""

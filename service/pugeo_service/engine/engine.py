@@ -6,9 +6,12 @@ is, the loop that answers requests and probes is not.
 """
 
 import asyncio
+import signal
+import subprocess
 import threading
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 import structlog
@@ -16,7 +19,7 @@ import structlog
 from pugeo_model.kernel_cache import compile_kernels
 from pugeo_service.engine.backend import Backend
 from pugeo_service.engine.dask_backend import DaskBackend
-from pugeo_service.engine.errors import EngineLostError, WorkerLostError
+from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.messages import (
     BodyReader,
     InMemory,
@@ -70,21 +73,46 @@ class Engine:
         self._policy = SchedulingPolicy(lambda: self._backend.warm_workers)
         self._proven = False
         self._retried = 0
+        self._compiling: subprocess.Popen[str] | None = None
+        self._stopping = False
 
     async def start(self) -> None:
-        """Start the workers; return once a small request of our own succeeded."""
+        """Start the workers; return once a small request of our own succeeded.
+
+        Raises:
+            EngineStartError: kernels cannot be compiled, or our own workers were not ready in time.
+        """
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="engine", daemon=True)
+        # Ctrl+C reaches the whole process group, and the front ends its workers in order. They
+        # inherit the mask of the thread that starts them; the tracker resets it when it begins.
+        resource_tracker.ensure_running()
+        self._thread = threading.Thread(
+            target=_run_without_interrupts, args=(self._loop,), name="engine", daemon=True
+        )
         self._thread.start()
         if self._settings.scheduler is None:
             # Once here, and not once in each worker.
-            await asyncio.to_thread(compile_kernels, _log.info)
-        await self._call(self._backend.start())
-        await self._call(self._self_test())
+            try:
+                await asyncio.to_thread(compile_kernels, _log.info, self._compiles)
+            except RuntimeError as error:
+                raise EngineStartError(str(error)) from error
+        limit = None if self._settings.scheduler else self._settings.start_s
+        try:
+            async with asyncio.timeout(limit):
+                await self._call(self._backend.start())
+                await self._call(self._self_test())
+        except TimeoutError as error:
+            raise EngineStartError(
+                f"no worker was ready within {limit:g} s (PUGEO_START_S); each needs about 1 GB of "
+                "memory and address space, and its own lines above say what it lacks"
+            ) from error
         self._proven = True
 
     async def stop(self) -> None:
         """End the workers and the thread."""
+        self._stopping = True
+        if self._compiling is not None:
+            self._compiling.kill()
         if self._loop is None or self._thread is None:
             return
         await self._call(self._backend.stop())
@@ -133,6 +161,12 @@ class Engine:
         )
         return await self._call(self._run(body, request, progress))
 
+    def _compiles(self, process: "subprocess.Popen[str]") -> None:
+        """Keep the process that compiles kernels, in whose thread this is called."""
+        self._compiling = process
+        if self._stopping:
+            process.kill()
+
     async def _self_test(self) -> None:
         request = self_test_request(self._settings.model, self._settings.deadline_s)
         run = self._orchestrator(request, ProgressCallbacks())
@@ -166,6 +200,11 @@ class Engine:
             work.close()
             raise EngineLostError("the engine is not running")
         return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
+
+
+def _run_without_interrupts(loop: asyncio.AbstractEventLoop) -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    loop.run_forever()
 
 
 def _make_backend(settings: Settings) -> Backend:

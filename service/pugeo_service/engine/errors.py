@@ -4,7 +4,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["DiskError", "EngineLostError", "WorkerLostError", "disk_errors"]
+__all__ = ["DiskError", "EngineLostError", "EngineStartError", "WorkerLostError", "disk_errors"]
 
 
 class WorkerLostError(Exception):
@@ -13,6 +13,10 @@ class WorkerLostError(Exception):
 
 class EngineLostError(Exception):
     """The scheduler, or all results, were lost."""
+
+
+class EngineStartError(Exception):
+    """The workers cannot start, or were not ready within the time for it."""
 
 
 class DiskError(Exception):

@@ -24,6 +24,7 @@ class InlineBackend:
     """
 
     lost_workers = 0
+    worker_memory: int | None = None
     retried_patches = 0
 
     def __init__(self, settings: Settings) -> None:

@@ -39,9 +39,12 @@ class RunRequest:
         options: keyword arguments of the model's ``Options``.
         max_points: bound on the points of the input.
         max_output_points: bound on the points of the answer.
+        max_cloud_bytes: bound on the bytes of the input's points with all attributes.
+        max_output_bytes: the same of the answer.
         deadline_s: seconds the whole may take.
         background: no client waits on a connection, so other requests have priority.
         one_task_patches: a cloud of at most so many patches is upsampled in one task.
+        worker_bytes: memory of a worker, ``None`` if it is unlimited or unknown.
     """
 
     model: str
@@ -50,9 +53,12 @@ class RunRequest:
     options: dict[str, Any]
     max_points: int
     max_output_points: int
+    max_cloud_bytes: int
+    max_output_bytes: int
     deadline_s: float
     background: bool = False
     one_task_patches: int = 1
+    worker_bytes: int | None = None
 
     @staticmethod
     def estimate(size: int, format: str | None) -> int:

@@ -112,6 +112,7 @@ class Orchestrator:
         # One task reads and plans the cloud; of a small cloud it makes the whole answer.
         if self._tasks.every_worker_is_busy and not request.background:
             request = replace(request, one_task_patches=LARGE_PATCHES - 1)
+        request = replace(request, worker_bytes=self._backend.worker_memory)
         cloud, info = await self._tasks.step(
             patches, stages.prepare, (data, request), stages.describe_prepared, (answer.file,)
         )

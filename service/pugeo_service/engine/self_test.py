@@ -14,6 +14,7 @@ __all__ = ["self_test_body", "self_test_request"]
 
 # More than one patch, so that the code that joins patches runs too.
 _POINTS = 3000
+_BYTES = 1 << 30  # more than it takes
 
 
 def self_test_body() -> NDArray[np.uint8]:
@@ -34,5 +35,7 @@ def self_test_request(model: str, deadline_s: float) -> RunRequest:
         options={"ratio": 2.0},
         max_points=_POINTS,
         max_output_points=2 * _POINTS,
+        max_cloud_bytes=_BYTES,
+        max_output_bytes=_BYTES,
         deadline_s=deadline_s,
     )

@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from pugeo_service.engine.answer_size import check_answer, check_memory
 from pugeo_service.engine.backend import quick
 from pugeo_service.engine.messages import DenseInfo, PreparedInfo, RunRequest
 from pugeo_service.engine.output_stages import describe_output, written
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pugeo_model.cloud import Cloud
-    from pugeo_model.options import Options
     from pugeo_model.plan import Plan
     from pugeo_model.resample.atlas import PatchCharts
     from pugeo_model.tiles import Tile
@@ -77,12 +76,20 @@ def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
     times = StageTimes()
     with times.measure("read"):
         options = Options(**request.options)
-        limits = Limits(max_points=request.max_points)
-        cloud = formats.read(io.BytesIO(body.data), format=request.format, limits=limits)
-        _check_output(cloud, options, request.max_output_points)
+        limits = Limits(max_points=request.max_points, max_bytes=request.max_cloud_bytes)
+        file = io.BytesIO(body.data)
+        # By the header, before anything is unpacked, and by the points, which text states nowhere.
+        declared = formats.declared(file, format=request.format, limits=limits)
+        if declared is not None:
+            check_answer(declared, options, request)
+        cloud = formats.read(file, format=request.format, limits=limits)
+        size = formats.Declared(len(cloud), cloud.row_bytes)
+        size.check(limits)
+        check_answer(size, options, request)
     with times.measure("prepare"):
         plan = make_plan(cloud, options, patch_ratio=load_model(request.model).patch_ratio)
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, request.answer)
+    check_memory(plan, request, in_parts=by_rows and len(plan.tile_specs) > 1)
     if len(plan.tile_specs) > 1:
         return Prepared(plan, None, times.seconds, by_rows)
     if plan.report["patches"] <= request.one_task_patches:
@@ -219,18 +226,3 @@ def describe_dense(dense: DenseTile) -> DenseInfo:
 
 def _charts(batches: Sequence[PredictedBatch]) -> list[PatchCharts]:
     return [charts for batch in batches for charts in batch.charts]
-
-
-def _check_output(cloud: Cloud, options: Options, limit: int) -> None:
-    """Refuse an answer that is too large before the work: preparing takes seconds."""
-    from pugeo_model.errors import LimitExceededError
-
-    wanted = options.points_out(len(cloud))
-    if wanted > limit:
-        raise LimitExceededError(
-            f"The answer would have {wanted:,} points; the limit is {limit:,}. Lower R.",
-            code="too_many_output_points",
-            name="max_output_points",
-            limit=limit,
-            value=wanted,
-        )

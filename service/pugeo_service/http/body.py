@@ -17,7 +17,14 @@ from pugeo_service.storage.buffered_writer import BufferedWriter
 from pugeo_service.storage.problems import storage_problems
 from pugeo_service.storage.spool import Spool
 
-__all__ = ["ACCEPTED", "Body", "ClientDisconnectedError", "receive_body", "receive_into"]
+__all__ = [
+    "ACCEPTED",
+    "Body",
+    "ClientDisconnectedError",
+    "announced_bytes",
+    "receive_body",
+    "receive_into",
+]
 
 WriterT = TypeVar("WriterT", bound=BufferedWriter)
 
@@ -101,6 +108,12 @@ async def receive_into(
     return Body(writer, declared, sniff(bytes(head)) or declared)
 
 
+def announced_bytes(request: Request) -> int:
+    """Return the length of the body that the head of a request announces; 0 if it does not."""
+    announced = request.headers.get("content-length", "")
+    return int(announced) if announced.isdecimal() else 0
+
+
 def _check_not_empty(writer: BufferedWriter) -> None:
     if writer.size == 0:
         detail = f"The body is empty; send a point cloud. Formats: {', '.join(FORMATS)}."
@@ -128,9 +141,8 @@ async def _chunks(
     request: Request, settings: Settings, reservation: Reservation
 ) -> AsyncIterator[bytes]:
     limit = settings.max_body_bytes
-    announced = request.headers.get("content-length", "")
-    if announced.isdecimal() and int(announced) > limit:
-        raise _too_large(limit, int(announced))
+    if (announced := announced_bytes(request)) > limit:
+        raise _too_large(limit, announced)
     size = 0
     while True:
         try:
@@ -155,5 +167,7 @@ async def _chunks(
 
 
 def _too_large(limit: int, value: int) -> ProblemError:
-    detail = f"The body has {value} bytes or more; the limit is {limit}."
-    return ProblemError(413, "body_too_large", detail, fields={"limit": limit, "value": value})
+    setting = "PUGEO_MAX_BODY_BYTES"
+    detail = f"The body has {value} bytes or more; the limit is {limit}. {setting} raises it."
+    fields = {"limit": limit, "value": value, "setting": setting}
+    return ProblemError(413, "body_too_large", detail, fields=fields)

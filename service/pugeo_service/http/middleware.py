@@ -5,6 +5,7 @@ It is pure ASGI because Starlette's BaseHTTPMiddleware, and with it ``@app.middl
 client's disconnect from the routes, so that work for departed clients would go on.
 """
 
+import asyncio
 import re
 import secrets
 import time
@@ -15,10 +16,11 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pugeo_service.http.body import ClientDisconnectedError
+from pugeo_service.http.protocol import GONE
 from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.problems import internal_error
+from pugeo_service.problems import draining, internal_error
 
 __all__ = ["RequestContext"]
 
@@ -26,6 +28,19 @@ _log = structlog.stdlib.get_logger("pugeo.http")
 # Request ids of clients must be safe in logs, headers and file names.
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 _QUIET = frozenset({"/health", "/health/live", "/health/ready", "/metrics"})
+
+
+def _never() -> bool:
+    return False
+
+
+def _is_departure(error: BaseException) -> bool:
+    """Whether an error during a response says that its client has closed the connection."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_departure, error.exceptions))
+    return isinstance(error, OSError | ClientDisconnectedError)
+
+
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 
@@ -74,6 +89,9 @@ class _Exchange:
             elif message["type"] == "http.response.body":
                 self._sent += len(message.get("body", b""))
             await send(message)
+            # The server drops what is sent to a departed client without a word.
+            if scope.get(GONE, _never)():
+                raise ClientDisconnectedError
 
         tracing.tag(request_id=self._id)
         start = time.perf_counter()
@@ -85,8 +103,13 @@ class _Exchange:
                 await self._app(scope, receive, observed)
             except ClientDisconnectedError:
                 self._status = 499
+            except asyncio.CancelledError:
+                # The server cancels the requests that the time to drain did not suffice for. Of
+                # a response that has begun, only the end of the connection can tell.
+                if not self._status:
+                    await draining().response(scope)(scope, receive, observed)
             except Exception as error:
-                if self._status and isinstance(error, OSError):
+                if self._status and _is_departure(error):
                     # Most likely the client closed the connection during the response.
                     self._status = 499
                     return

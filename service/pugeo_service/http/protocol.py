@@ -5,15 +5,23 @@ A client that disconnects is reported to the running request at once, and its pi
 dropped. A client that does not read its response, or does not finish a refused body, is cut off.
 """
 
+import array
 import asyncio
-from collections.abc import Callable
-from typing import Any
+import contextlib
+import fcntl
+import termios
+from collections.abc import Callable, MutableMapping
+from typing import Any, cast
 
 from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
-from pugeo_service.http.request_limits import RequestLimits
+from pugeo_service.http.connection_limit import ConnectionLimit
 
-__all__ = ["ServerProtocol"]
+__all__ = ["GONE", "ServerProtocol"]
+
+GONE = "pugeo.gone"
+"""Member of the ASGI scope: returns whether the client has closed its connection."""
+
 
 # Seconds in which a client must read at least a part of the buffered response.
 READ_TIMEOUT_S = 30.0
@@ -22,7 +30,7 @@ READ_TIMEOUT_S = 30.0
 LINGER_S = 30.0
 
 
-class ServerProtocol(RequestLimits):
+class ServerProtocol(ConnectionLimit):
     """Protocol of one connection."""
 
     _running: RequestResponseCycle | None = None
@@ -47,9 +55,8 @@ class ServerProtocol(RequestLimits):
         if answered is not None and answered.more_body:
             self._linger_timer = self.loop.call_later(LINGER_S, self.transport.abort)
         # The rest may be too small for `pause_writing`; yet closing would wait for it for ever.
-        left = self.transport.get_write_buffer_size()
-        if left and self._read_timer is None:
-            self._start_read_timer(left)
+        if self.transport.get_write_buffer_size() and self._read_timer is None:
+            self._start_read_timer(self._unread())
 
     def on_message_complete(self) -> None:
         """Cancel the linger timer: the body is complete."""
@@ -60,7 +67,7 @@ class ServerProtocol(RequestLimits):
         """Start the read timer: the write buffer is full."""
         super().pause_writing()
         self._cancel_read_timer()
-        self._start_read_timer(self.transport.get_write_buffer_size())
+        self._start_read_timer(self._unread())
 
     def resume_writing(self) -> None:
         """Cancel the read timer: the write buffer is no longer full."""
@@ -69,18 +76,29 @@ class ServerProtocol(RequestLimits):
 
     def _start_asgi_task(self, cycle: RequestResponseCycle, app: Callable[..., Any]) -> None:
         self._running = cycle
+        scope: MutableMapping[str, Any] = cast("MutableMapping[str, Any]", cycle.scope)
+        scope[GONE] = lambda: cycle.disconnected
         super()._start_asgi_task(cycle, app)
 
-    def _start_read_timer(self, buffered: int) -> None:
-        self._read_timer = self.loop.call_later(READ_TIMEOUT_S, self._check_reader, buffered)
+    def _unread(self) -> int:
+        """Bytes of the response that the client has not received yet.
+
+        Those in the kernel's buffer count as well: it holds megabytes, so that a slow reader makes
+        progress for minutes without a change of the transport's buffer.
+        """
+        return self.transport.get_write_buffer_size() + _queued(self.transport)
+
+    def _start_read_timer(self, unread: int) -> None:
+        self._read_timer = self.loop.call_later(READ_TIMEOUT_S, self._check_reader, unread)
 
     def _check_reader(self, before: int) -> None:
-        """Cut the connection if none of the buffered bytes were read since the timer started."""
-        buffered = self.transport.get_write_buffer_size()
+        """Cut the connection if the client received nothing since the timer started."""
         self._read_timer = None
-        if buffered and buffered < before:
-            self._start_read_timer(buffered)
-        elif buffered:
+        if not self.transport.get_write_buffer_size():
+            return
+        if (unread := self._unread()) < before:
+            self._start_read_timer(unread)
+        else:
             # `close` would wait until the buffer is empty.
             self.transport.abort()
 
@@ -93,3 +111,13 @@ class ServerProtocol(RequestLimits):
         if self._read_timer is not None:
             self._read_timer.cancel()
             self._read_timer = None
+
+
+def _queued(transport: asyncio.Transport) -> int:
+    """Return the bytes that the kernel holds because the client has not confirmed them."""
+    connection = transport.get_extra_info("socket")
+    count = array.array("i", [0])
+    # A system without this count reports none; then only the transport's buffer shows progress.
+    with contextlib.suppress(OSError, AttributeError, ValueError):
+        fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, count)
+    return count[0]

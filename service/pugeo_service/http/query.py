@@ -5,7 +5,6 @@ import math
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from pugeo_service.http.negotiation import OUTPUT_FORMATS
 
@@ -67,22 +66,6 @@ class UpsampleQuery(BaseModel):
             "By default the format of the input where it can be written, else ply."
         ),
     ] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known(cls, given: Any) -> Any:
-        unknown = sorted(set(given) - set(cls.model_fields)) if isinstance(given, dict) else []
-        if unknown:
-            raise PydanticCustomError(
-                "unknown_option",
-                "there is no option {parameter}; there are {names}",
-                {
-                    "parameter": unknown[0][:80],
-                    "names": ", ".join(cls.model_fields),
-                    "allowed": list(cls.model_fields),
-                },
-            )
-        return given
 
     @field_validator("viewpoint")
     @classmethod

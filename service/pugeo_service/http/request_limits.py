@@ -9,6 +9,7 @@ tests/service/test_private_names.py checks that each inherited name exists.
 """
 
 import asyncio
+import re
 from http import HTTPStatus
 from typing import Any
 
@@ -17,11 +18,12 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.problems import ProblemError
 
-__all__ = ["RequestLimits"]
+__all__ = ["RequestLimits", "encode_response"]
 
 MAX_HEAD_BYTES = 64 << 10
 MAX_HEAD_FIELDS = 100
 HEAD_TIMEOUT_S = 30.0
+_HOST = re.compile(rb"[^\x00-\x20\x7f-\xff/?#@\\]*")
 
 
 class RequestLimits(HttpToolsProtocol):
@@ -35,6 +37,9 @@ class RequestLimits(HttpToolsProtocol):
     # Fields of the current request.
     _fields = 0
     _field_bytes = 0
+    # Values of Host and Transfer-Encoding of the current request.
+    _hosts: list[bytes]
+    _codings: list[bytes]
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timer of the first head."""
@@ -59,6 +64,7 @@ class RequestLimits(HttpToolsProtocol):
         """Reset the counters and start the timer of the next head."""
         super().on_message_begin()
         self._fields = self._field_bytes = 0
+        self._hosts, self._codings = [], []
         self._start_timer()
 
     def on_header(self, name: bytes, value: bytes) -> None:
@@ -76,10 +82,22 @@ class RequestLimits(HttpToolsProtocol):
         if self._refusal is not None:
             # Only an exception stops the parser within the bytes that it was given.
             raise ValueError(self._refusal.detail)
+        if name.lower() == b"host":
+            self._hosts.append(value)
+        elif name.lower() == b"transfer-encoding":
+            self._codings.append(value.strip().lower())
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Cancel the timer and start the application."""
+        """Cancel the timer and start the application.
+
+        Raises:
+            ValueError: the head is not that of a request that can be answered (RFC 9112, sections
+                3.2 and 6.1); the parser stops and calls `send_400_response`.
+        """
+        self._refusal = _bad_head(self._hosts, self._codings, self.parser.get_http_version())
+        if self._refusal is not None:
+            raise ValueError(self._refusal.detail)
         self._bytes = 0
         self._cancel_timer()
         super().on_headers_complete()
@@ -97,7 +115,7 @@ class RequestLimits(HttpToolsProtocol):
             problem = self._refusal or ProblemError(
                 400, "malformed_request", "The bytes are not an HTTP request."
             )
-            self.transport.write(_encode_response(problem))
+            self.transport.write(encode_response(problem))
         self.transport.close()
 
     def _start_timer(self) -> None:
@@ -119,13 +137,31 @@ class RequestLimits(HttpToolsProtocol):
             self.transport.close()
 
 
+def _bad_head(hosts: list[bytes], codings: list[bytes], version: str) -> ProblemError | None:
+    if len(hosts) > 1 or (not hosts and version != "1.0"):
+        found = "no" if not hosts else "more than one"
+        detail = f"The request has {found} Host; an HTTP/1.1 request has exactly one."
+        return ProblemError(400, "malformed_request", detail)
+    if hosts and not _HOST.fullmatch(hosts[0]):
+        detail = "The Host of the request is not a name or address with an optional port."
+        return ProblemError(400, "malformed_request", detail)
+    if codings and version == "1.0":
+        detail = "HTTP/1.0 has no Transfer-Encoding; send Content-Length."
+        return ProblemError(400, "malformed_request", detail)
+    if codings and codings != [b"chunked"]:
+        detail = "Of the transfer codings, only 'chunked' is understood."
+        return ProblemError(501, "unsupported_transfer_coding", detail, retryable=False)
+    return None
+
+
 def _too_large(excess: str) -> ProblemError:
     fields: dict[str, Any] = {"limit_bytes": MAX_HEAD_BYTES, "limit_fields": MAX_HEAD_FIELDS}
     detail = f"The head of the request has {excess}."
     return ProblemError(431, "head_too_large", detail, fields=fields)
 
 
-def _encode_response(problem: ProblemError) -> bytes:
+def encode_response(problem: ProblemError) -> bytes:
+    """Return the bytes of a response that closes its connection."""
     response = problem.response({})
     add_security_headers(response.headers)
     response.headers["Connection"] = "close"

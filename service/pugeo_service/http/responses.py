@@ -3,6 +3,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 from starlette.responses import Response
@@ -65,17 +66,25 @@ class SpoolResponse(Response):
 
     Starlette's streaming response would leave the spool open if the client disconnects before the
     first byte.
+
+    Args:
+        result: has the spool.
+        headers: of the response.
+        held: closed at the end; the room that the answer takes.
     """
 
-    def __init__(self, result: RunResult, headers: dict[str, str]) -> None:
+    def __init__(
+        self, result: RunResult, headers: dict[str, str], held: AbstractContextManager[object]
+    ) -> None:
         self.status_code = 200
         self.background = None
         self.init_headers(headers)
         self._result = result
+        self._held = held
 
     async def __call__(self, _scope: Scope, _receive: Receive, send: Send) -> None:
         """Send headers and bytes."""
-        with self._result.spool as spool:
+        with self._held, self._result.spool as spool:
             await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
             async for data in spool.chunks():
                 await send({"type": "http.response.body", "body": data, "more_body": True})

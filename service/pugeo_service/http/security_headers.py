@@ -12,7 +12,7 @@ _NO_PAGE = "default-src 'none'; frame-ancestors 'none'"
 # Requests and response headers that pages of other origins may use if PUGEO_CORS_ORIGINS lists
 # them. The service sets no cookies, so credentials stay off.
 CORS: dict[str, Any] = {
-    "allow_methods": ["GET", "POST", "DELETE"],
+    "allow_methods": ["GET", "HEAD", "POST", "DELETE"],
     "allow_headers": [
         "Authorization", "Content-Type", "Idempotency-Key", "If-None-Match", "Last-Event-ID",
         "Prefer", "Range", "X-API-Key", "X-Request-ID",

@@ -2,13 +2,12 @@
 """Completion of an execution: success, failure, or another attempt."""
 
 import asyncio
-import time
 from typing import Any
 
 import structlog
 
 from pugeo_model.errors import CloudError
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.database import Database, Work
 from pugeo_service.jobs.files import InputLostError, JobFiles
 from pugeo_service.jobs.models import ACTIVE, Job, Success
@@ -85,7 +84,7 @@ class Completion:
 
     async def fail(self, job: Job, runner: str, problem: ProblemError) -> None:
         """End a job of ``runner`` with a problem."""
-        now = time.time()
+        now = clock.now()
         members = problem.members(f"/jobs/{job.id}", job.request_id)
         ended = await self._write(repository.fail, job.id, runner, members, now, now + self._ttl_s)
         if ended:
@@ -94,7 +93,7 @@ class Completion:
         await self._remove_files(job)
 
     async def _succeeded(self, job: Job, success: Success) -> None:
-        now = time.time()
+        now = clock.now()
         expires_at = now + self._ttl_s
         ended = await self._write(
             repository.succeed, job.id, self._runner, success, now, expires_at
@@ -116,7 +115,7 @@ class Completion:
             await self._remove_files(job)
 
     async def _failed(self, job: Job, problem: ProblemError) -> None:
-        now = time.time()
+        now = clock.now()
         if problem.code == "engine_lost":
             retry = (job.attempts - 1, now + _ENGINE_RETRY_S)
         elif problem.code in _STORAGE_CODES and job.attempts < self.max_attempts:
@@ -145,7 +144,8 @@ class Completion:
         """Run a writing query; repeat it while the database fails."""
         while True:
             try:
-                return await self._database.write(work, *args)
+                # The end of a job gives back the room of its input.
+                return await self._database.free(work, *args)
             except ProblemError:
                 if self.shutting_down:
                     raise

@@ -115,8 +115,11 @@ class Execution:
                         body, run_request, on_patches=on_patches, on_done=on_done, on_stage=on_stage
                     )
         except TimeoutError as error:
-            detail = f"The job exceeded the limit of {settings.jobs_deadline_s:g} s for jobs."
-            fields = {"limit": settings.jobs_deadline_s}
+            detail = (
+                f"The job exceeded the limit of {settings.jobs_deadline_s:g} s for jobs, which "
+                "PUGEO_JOBS_DEADLINE_S raises."
+            )
+            fields = {"limit": settings.jobs_deadline_s, "setting": "PUGEO_JOBS_DEADLINE_S"}
             raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
     async def _store(self, result: RunResult) -> Success:

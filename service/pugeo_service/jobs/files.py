@@ -14,11 +14,17 @@ from numpy.typing import NDArray
 
 from pugeo_service.storage.atomic_file import AtomicFile
 
-__all__ = ["InputLostError", "JobFiles", "StoredInput"]
+__all__ = ["InputLostError", "JobFiles", "ResultLostError", "StoredInput"]
+
+_MOST_CHECKED = 10_000
 
 
 class InputLostError(Exception):
     """The input of a job is missing, or differs from the accepted one."""
+
+
+class ResultLostError(Exception):
+    """The result of a job differs from the one that was stored."""
 
 
 class StoredInput:
@@ -61,6 +67,8 @@ class JobFiles:
         self._parts = folder / "parts"
         self._inputs = folder / "inputs"
         self._results = folder / "results"
+        # Size, time and inode of results whose digest is right.
+        self._checked: dict[str, tuple[int, int, int]] = {}
 
     def prepare(self) -> None:
         """Make the folders.
@@ -84,13 +92,33 @@ class JobFiles:
         """Start writing the result of a job."""
         return AtomicFile(self._parts / f"{self._writer}.{job_id}.out", self._results / job_id)
 
+    def input_path(self, job_id: str) -> Path:
+        """Return the path of the input of a job, which may not exist."""
+        return self._inputs / job_id
+
     def input(self, job_id: str, size: int, sha256: str) -> StoredInput:
         """Return the input of a job."""
         return StoredInput(self._inputs / job_id, size, sha256)
 
-    def result(self, job_id: str) -> Path:
-        """Return the path of the result of a job, which may not exist."""
-        return self._results / job_id
+    def result(self, job_id: str, size: int, sha256: str) -> Path:
+        """Return the path of the result of a job; it accesses the disk.
+
+        The bytes are compared with their digest once, and again whenever the file has changed.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ResultLostError: its bytes have changed.
+        """
+        path = self._results / job_id
+        with path.open("rb") as file:
+            seen = _stamp(os.fstat(file.fileno()))
+            if self._checked.get(job_id) != seen:
+                if seen[0] != size or hashlib.file_digest(file, "sha256").hexdigest() != sha256:
+                    raise ResultLostError("its bytes have changed")
+                self._checked[job_id] = seen
+                while len(self._checked) > _MOST_CHECKED:
+                    self._checked.pop(next(iter(self._checked)), None)
+        return path
 
     def remove_input(self, job_id: str) -> None:
         """Remove the input of a job, if it exists."""
@@ -98,6 +126,7 @@ class JobFiles:
 
     def remove_result(self, job_id: str) -> None:
         """Remove the result of a job, if it exists."""
+        self._checked.pop(job_id, None)
         _remove(self._results / job_id)
 
     def sweep(
@@ -143,6 +172,10 @@ def _remove(path: Path) -> bool:
     except FileNotFoundError:
         return False
     return True
+
+
+def _stamp(status: os.stat_result) -> tuple[int, int, int]:
+    return status.st_size, status.st_mtime_ns, status.st_ino
 
 
 def _modified(path: Path) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 import structlog
 
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.completion import Completion, crash_problem
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
@@ -15,6 +15,7 @@ from pugeo_service.jobs.process_lock import ProcessLock
 from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
+from pugeo_service.storage.reserve import Reserve
 
 __all__ = ["Maintenance"]
 
@@ -38,6 +39,8 @@ class Maintenance:
         telemetry: counts expired results.
         requeue_unknown: queues jobs again that the database assigns to this process but that do not
             run.
+        reserve: room for the database on a full disk.
+        kept_rows: finished jobs without a result that are kept of each owner.
 
     Attributes:
         usage: use of the capacity for jobs, at most some seconds old.
@@ -51,6 +54,8 @@ class Maintenance:
         completion: Completion,
         telemetry: Telemetry,
         requeue_unknown: Callable[[], Awaitable[None]],
+        reserve: Reserve,
+        kept_rows: int,
     ) -> None:
         self._database = database
         self._files = files
@@ -58,6 +63,8 @@ class Maintenance:
         self._completion = completion
         self._telemetry = telemetry
         self._requeue_unknown = requeue_unknown
+        self._reserve = reserve
+        self._kept_rows = kept_rows
         self.usage = JobUsage()
 
     async def start(self) -> None:
@@ -69,9 +76,10 @@ class Maintenance:
         """
         await self._take_over()
         # The time is read first: files of a process that starts meanwhile are younger.
-        now = time.time()
+        now = clock.now()
         alone = await asyncio.to_thread(lambda: self._lock.is_only_process)
         await self._sweep(now if alone else now - _ORPHAN_S)
+        await asyncio.to_thread(self._reserve.fill)
         self.usage = await self._database.read(repository.usage)
 
     async def run(self) -> None:
@@ -83,10 +91,13 @@ class Maintenance:
                 await self._take_over()
                 await self._requeue_unknown()
                 await self._expire()
+                await self._database.free(repository.prune_most, self._kept_rows)
+                # Last, when all room that can be given back has been.
+                await asyncio.to_thread(self._reserve.fill)
                 if time.monotonic() - swept > _SWEEP_S:
                     swept = time.monotonic()
-                    await self._database.write(repository.prune, time.time() - _KEEP_ROW_S)
-                    await self._sweep(time.time() - _ORPHAN_S)
+                    await self._database.free(repository.prune, clock.now() - _KEEP_ROW_S)
+                    await self._sweep(clock.now() - _ORPHAN_S)
                 self.usage = await self._database.read(repository.usage)
             except ProblemError:
                 continue  # logged by the database
@@ -108,7 +119,7 @@ class Maintenance:
             await self._completion.fail(job, job.runner or "", crash_problem(job))
 
     async def _expire(self) -> None:
-        for job_id in await self._database.write(repository.expire, time.time()):
+        for job_id in await self._database.free(repository.expire, clock.now()):
             await asyncio.to_thread(self._files.remove_result, job_id)
             self._telemetry.jobs.labels("expired").inc()
 

@@ -4,7 +4,7 @@
 import asyncio
 import functools
 import shutil
-import time
+from collections.abc import Callable
 
 import structlog
 from starlette.requests import Request
@@ -13,14 +13,14 @@ from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
 from pugeo_service.http.negotiation import OutputChoice
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.change_feed import ChangeFeed
 from pugeo_service.jobs.completion import Completion
 from pugeo_service.jobs.database import Database, unavailable
 from pugeo_service.jobs.execution import Execution
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.maintenance import Maintenance
-from pugeo_service.jobs.models import Job, State
+from pugeo_service.jobs.models import Job, State, is_id
 from pugeo_service.jobs.process_lock import ProcessLock
 from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.jobs.runner import Runner
@@ -28,11 +28,14 @@ from pugeo_service.jobs.submission import Submission
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
+from pugeo_service.storage.reserve import Reserve
 
 __all__ = ["JobManager"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _REOPEN_S = 5.0
+# Finished jobs of an owner whose rows are kept at least.
+_LEAST_ROWS = 1000
 
 
 class JobManager:
@@ -43,6 +46,7 @@ class JobManager:
         engine: runs jobs.
         telemetry: counts jobs.
         model: ``version`` and ``sha256`` of the weights.
+        keys_version: returns another value after API keys have changed.
 
     Attributes:
         admission: queue of running jobs. It is separate from the queue of requests, so that jobs
@@ -53,21 +57,31 @@ class JobManager:
     """
 
     def __init__(
-        self, settings: Settings, engine: Engine, telemetry: Telemetry, model: dict[str, str]
+        self,
+        settings: Settings,
+        engine: Engine,
+        telemetry: Telemetry,
+        model: dict[str, str],
+        keys_version: Callable[[], object],
     ) -> None:
         self._folder = settings.jobs_folder
         self._settings = settings
         self._telemetry = telemetry
         self._lock = ProcessLock(self._folder)
         self.files = JobFiles(self._folder, self._lock.name)
-        self._database = Database(settings.jobs_database)
+        self._reserve = Reserve(self._folder / "reserve")
+        self._database = Database(settings.jobs_database, self._reserve)
         self.admission = Admission(
             settings.queue_patches, settings.queue_bytes, settings.jobs_running
         )
         self.uploads = Admission(
             settings.queue_patches, settings.queue_bytes, settings.queue_requests
         )
-        self.changes = ChangeFeed(lambda ids: self._database.read(repository.find_many, ids))
+        self.changes = ChangeFeed(
+            lambda ids: self._database.read(repository.revisions, ids),
+            lambda ids: self._database.read(repository.find_many, ids),
+            keys_version,
+        )
         self._submission = Submission(settings, self._database, self.files, self.uploads)
         completion = Completion(
             self._lock.name,
@@ -102,6 +116,8 @@ class JobManager:
             completion,
             telemetry,
             self._runner.requeue_unknown,
+            self._reserve,
+            max(_LEAST_ROWS, settings.jobs_queue),
         )
         self._tasks: list[asyncio.Task[None]] = []
         self._opening: asyncio.Task[None] | None = None
@@ -166,6 +182,7 @@ class JobManager:
             ProblemError: 404, or 503 if the database cannot be used.
         """
         self._check_ready()
+        _check_id(job_id)
         job = await self._database.read(repository.find, job_id, owner)
         if job is None:
             raise _unknown_job(job_id)
@@ -174,11 +191,17 @@ class JobManager:
     async def page(
         self, owner: str, state: State | None, before: str | None, limit: int
     ) -> tuple[list[Job], str | None]:
-        """List jobs, newest first; return them with the cursor of the next page, if any."""
+        """List jobs, newest first; return them with the cursor of the next page, if any.
+
+        Raises:
+            ProblemError: 404 for a cursor of another form, or 503 if the database cannot be used.
+        """
         self._check_ready()
+        if before is not None:
+            _check_id(before)
         found = await self._database.read(repository.list_page, owner, state, before, limit + 1)
-        more = len(found) > limit
-        return found[:limit], found[limit - 1].id if more else None
+        readable = [job for _, job in found[:limit] if job is not None]
+        return readable, found[limit - 1][0] if len(found) > limit else None
 
     async def withdraw(self, job_id: str, owner: str) -> Job:
         """Cancel an active job, or delete the result of a finished one. Idempotent.
@@ -187,9 +210,10 @@ class JobManager:
             ProblemError: 404, or 503 if the database cannot be used.
         """
         self._check_ready()
-        now = time.time()
+        _check_id(job_id)
+        now = clock.now()
         expires_at = now + self._settings.jobs_ttl_s
-        found = await self._database.write(repository.withdraw, job_id, owner, now, expires_at)
+        found = await self._database.free(repository.withdraw, job_id, owner, now, expires_at)
         if found is None:
             raise _unknown_job(job_id)
         before, job = found
@@ -234,6 +258,12 @@ class JobManager:
     def _check_ready(self) -> None:
         if not self._ready:
             raise unavailable("folder or database error")
+
+
+def _check_id(text: str) -> None:
+    """Refuse an id or cursor of another form: PostgreSQL has no NUL, so it must not see one."""
+    if not is_id(text):
+        raise _unknown_job(text)
 
 
 def _unknown_job(job_id: str) -> ProblemError:

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs as values, and their table, in SQL that SQLite and PostgreSQL both support."""
 
+import functools
+import re
 import secrets
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import (
     JSON,
     BigInteger,
@@ -20,10 +23,28 @@ from sqlalchemy import (
     UniqueConstraint,
 )
 
-__all__ = ["ACTIVE", "FINAL", "Job", "State", "Success", "jobs", "metadata", "new_id"]
+from pugeo_service.http.negotiation import OUTPUT_FORMATS
+from pugeo_service.problems import ProblemError
+
+__all__ = [
+    "ACTIVE",
+    "FINAL",
+    "Job",
+    "State",
+    "Success",
+    "UnreadableRowError",
+    "is_id",
+    "jobs",
+    "metadata",
+    "new_id",
+]
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "expired"]
 ACTIVE: tuple[State, ...] = ("queued", "running")
+_ID = re.compile("[0-9a-f]{32}")
+# The last second that a date can have.
+_LATEST_S = 253_402_300_799.0
+_TIMES = ("created_at", "started_at", "finished_at", "expires_at")
 FINAL: tuple[State, ...] = ("succeeded", "failed", "cancelled", "expired")
 
 
@@ -33,6 +54,31 @@ def new_id() -> str:
     Ids sort by age, so lists need no second column for paging, and cannot be guessed.
     """
     return f"{time.time_ns() // 1_000_000:012x}{secrets.token_hex(10)}"
+
+
+def is_id(text: str) -> bool:
+    """Return whether a text has the form of `new_id`."""
+    return _ID.fullmatch(text) is not None
+
+
+class UnreadableRowError(Exception):
+    """A row of the table is no job.
+
+    Attributes:
+        job_id: its id.
+        columns: those that cannot be read.
+    """
+
+    def __init__(self, job_id: str, columns: list[str]) -> None:
+        super().__init__(f"job {job_id[:32]}: {', '.join(columns)}")
+        self.job_id = job_id
+        self.columns = columns
+
+    @staticmethod
+    def problem() -> ProblemError:
+        """Return the problem for requests about this job."""
+        detail = "The record of this job is damaged; submit it again."
+        return ProblemError(500, "job_unreadable", detail, retryable=False)
 
 
 @dataclass(frozen=True)
@@ -122,8 +168,25 @@ class Job:
 
     @classmethod
     def from_row(cls, row: Mapping[Any, Any]) -> "Job":
-        """Make a job of a row of the table."""
-        return cls(**row)
+        """Make a job of a row of the table.
+
+        Raises:
+            UnreadableRowError: a value is not of its type or range; the row was damaged, or written
+                by another version.
+        """
+        try:
+            job = _rows().validate_python(dict(row))
+        except ValidationError as error:
+            columns = sorted({str(entry["loc"][0]) for entry in error.errors() if entry["loc"]})
+            raise UnreadableRowError(str(row.get("id")), columns) from None
+        wrong = [name for name in _TIMES if (getattr(job, name) or 0.0) > _LATEST_S]
+        if job.answer not in OUTPUT_FORMATS:
+            wrong.append("answer")
+        if job.state == "succeeded" and None in (job.result_bytes, job.result_sha256, job.report):
+            wrong.append("result")
+        if wrong:
+            raise UnreadableRowError(job.id, wrong)
+        return job
 
     @property
     def finished(self) -> bool:
@@ -133,6 +196,11 @@ class Job:
     def has_result(self, now: float) -> bool:
         """Whether its result may be fetched at the time ``now``."""
         return self.state == "succeeded" and (self.expires_at is None or now < self.expires_at)
+
+
+@functools.cache
+def _rows() -> TypeAdapter[Job]:
+    return TypeAdapter(Job)
 
 
 metadata = MetaData()

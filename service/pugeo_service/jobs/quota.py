@@ -35,9 +35,12 @@ class Quota:
             owned: use by the jobs of the owner.
 
         Raises:
-            ProblemError: 503 for the capacity, 429 for the share.
+            ProblemError: 413 for an input that is larger than the whole capacity, 503 for the
+                capacity, 429 for the share.
         """
         size = max(1, size)
+        if size > self.bytes:
+            raise _too_large(size, self.bytes)
         if total.active >= self.jobs or total.bytes + size > self.bytes:
             raise self._full(total)
         if not owner:
@@ -57,7 +60,10 @@ class Quota:
             )
 
     def _full(self, total: JobUsage) -> ProblemError:
-        detail = "The capacity for jobs is exhausted; try again after the time in Retry-After."
+        detail = (
+            "The capacity for jobs (PUGEO_JOBS_QUEUE, PUGEO_JOBS_BYTES) is exhausted; try again "
+            "after the time in Retry-After."
+        )
         fields = {
             "active_jobs": total.active,
             "capacity_jobs": self.jobs,
@@ -65,3 +71,10 @@ class Quota:
             "capacity_bytes": self.bytes,
         }
         return ProblemError(503, "jobs_full", detail, retry_after=_RETRY_S, fields=fields)
+
+
+def _too_large(size: int, limit: int) -> ProblemError:
+    setting = "PUGEO_JOBS_BYTES"
+    detail = f"The input has {size:,} bytes; all jobs together may have {limit:,} ({setting})."
+    fields = {"limit": limit, "value": size, "setting": setting}
+    return ProblemError(413, "body_too_large", detail, fields=fields)

@@ -7,20 +7,30 @@ another process has taken over.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection, delete, func, insert, select, update
 
-from pugeo_service.jobs.models import ACTIVE, FINAL, Job, State, Success, jobs
+from pugeo_service.jobs.models import (
+    ACTIVE,
+    FINAL,
+    Job,
+    State,
+    Success,
+    UnreadableRowError,
+    jobs,
+)
 
 __all__ = [
     "JobUsage", "add", "claim", "expire", "fail", "find", "find_by_key", "find_many", "list_page",
-    "owner_usage", "prune", "requeue", "requeue_all_of", "requeue_unknown", "runners", "succeed",
-    "update_progress", "usage", "wanted_files", "withdraw",
+    "owner_usage", "prune", "prune_most", "requeue", "requeue_all_of", "requeue_unknown",
+    "revisions", "runners", "succeed", "update_progress", "usage", "wanted_files", "withdraw",
 ]  # fmt: skip
 
+_log = structlog.stdlib.get_logger("pugeo.jobs")
 _ADD_LOCK = 0x70756765  # key of an advisory lock; any number
 
 
@@ -109,19 +119,29 @@ def find(connection: Connection, job_id: str, owner: str) -> Job | None:
 def find_many(connection: Connection, ids: Sequence[str]) -> list[Job]:
     """Find jobs of any owner by their ids."""
     rows = connection.execute(select(jobs).where(jobs.c.id.in_(ids))).mappings()
-    return [Job.from_row(row) for row in rows]
+    return [job for _, job in _readable(rows) if job is not None]
+
+
+def revisions(connection: Connection, ids: Sequence[str]) -> dict[str, int]:
+    """Return the revisions of the existing jobs among some ids, of any owner."""
+    rows = connection.execute(select(jobs.c.id, jobs.c.revision).where(jobs.c.id.in_(ids)))
+    return {row.id: row.revision for row in rows}
 
 
 def list_page(
     connection: Connection, owner: str, state: State | None, before: str | None, limit: int
-) -> list[Job]:
-    """List up to ``limit`` jobs of an owner, newest first, older than the id ``before``."""
+) -> list[tuple[str, Job | None]]:
+    """List up to ``limit`` jobs of an owner, newest first, older than the id ``before``.
+
+    Returns:
+        Ids and jobs; ``None`` for a row that cannot be read.
+    """
     query = select(jobs).where(jobs.c.owner == owner).order_by(jobs.c.id.desc()).limit(limit)
     if state is not None:
         query = query.where(jobs.c.state == state)
     if before is not None:
         query = query.where(jobs.c.id < before)
-    return [Job.from_row(row) for row in connection.execute(query).mappings()]
+    return list(_readable(connection.execute(query).mappings()))
 
 
 def withdraw(
@@ -149,7 +169,26 @@ def withdraw(
 
 
 def claim(connection: Connection, runner: str, now: float) -> Job | None:
-    """Assign the oldest queued job to ``runner`` and return it."""
+    """Assign the oldest queued job to ``runner`` and return it.
+
+    A row that cannot be read would be the oldest one for ever, so it is ended as failed.
+    """
+    while True:
+        try:
+            return _claim(connection, runner, now)
+        except UnreadableRowError as error:
+            _log.error("row of a job cannot be read; the job failed", reason=str(error))
+            change = {
+                "state": "failed",
+                "runner": None,
+                "finished_at": now,
+                "expires_at": now,
+                "problem": error.problem().members(f"/jobs/{error.job_id}", ""),
+            }
+            connection.execute(update(jobs).where(jobs.c.id == error.job_id).values(**change))
+
+
+def _claim(connection: Connection, runner: str, now: float) -> Job | None:
     waiting = (
         select(jobs)
         .where(jobs.c.state == "queued", jobs.c.not_before <= now)
@@ -164,14 +203,15 @@ def claim(connection: Connection, runner: str, now: float) -> Job | None:
         "state": "running",
         "stage": "prepare",
         "runner": runner,
-        "attempts": row["attempts"] + 1,
-        "revision": row["revision"] + 1,
+        "attempts": _next(row, "attempts"),
+        "revision": _next(row, "revision"),
         "started_at": now,
         "patches_done": 0,
         "patches_total": None,
     }
-    connection.execute(update(jobs).where(jobs.c.id == row["id"]).values(**change))
-    return Job.from_row({**row, **change})
+    job = Job.from_row({**row, **change})
+    connection.execute(update(jobs).where(jobs.c.id == job.id).values(**change))
+    return job
 
 
 def update_progress(
@@ -260,7 +300,7 @@ def requeue_all_of(connection: Connection, ended: Iterable[str], max_attempts: i
     repeatable = jobs.c.attempts < max_attempts
     connection.execute(update(jobs).where(*mine, repeatable).values(**change))
     rows = connection.execute(select(jobs).where(*mine)).mappings()
-    return [Job.from_row(row) for row in rows]
+    return [job for _, job in _readable(rows) if job is not None]
 
 
 def requeue_unknown(
@@ -292,6 +332,22 @@ def prune(connection: Connection, before: float) -> int:
     return connection.execute(old).rowcount
 
 
+def prune_most(connection: Connection, kept: int) -> int:
+    """Delete the oldest finished jobs without a result, apart from ``kept`` of each owner.
+
+    Jobs that fail at once would otherwise fill the table faster than `prune` empties it.
+    """
+    without = jobs.c.state.in_(("failed", "cancelled", "expired"))
+    many = select(jobs.c.owner).where(without).group_by(jobs.c.owner).having(func.count() > kept)
+    removed = 0
+    for owner in connection.execute(many).scalars().all():
+        mine = (without, jobs.c.owner == owner)
+        newest = select(jobs.c.id).where(*mine).order_by(jobs.c.id.desc()).offset(kept).limit(1)
+        last = connection.execute(newest).scalar()
+        removed += connection.execute(delete(jobs).where(*mine, jobs.c.id <= last)).rowcount
+    return removed
+
+
 def wanted_files(connection: Connection) -> tuple[set[str], set[str]]:
     """Return the ids of jobs whose inputs are needed, and of those whose results are."""
     rows = connection.execute(
@@ -310,6 +366,22 @@ _QUEUED: dict[str, Any] = {
     "patches_done": 0,
     "patches_total": None,
 }
+
+
+def _readable(rows: Iterable[Mapping[Any, Any]]) -> Iterator[tuple[str, Job | None]]:
+    """Yield the ids and jobs of rows; ``None`` instead of a job that cannot be read."""
+    for row in rows:
+        try:
+            yield row["id"], Job.from_row(row)
+        except UnreadableRowError as error:
+            _log.error("row of a job cannot be read", reason=str(error))
+            yield row["id"], None
+
+
+def _next(row: Mapping[Any, Any], column: str) -> int:
+    if not isinstance(row[column], int):
+        raise UnreadableRowError(row["id"], [column])
+    return int(row[column]) + 1
 
 
 def _change(connection: Connection, job_id: str, runner: str, change: dict[str, Any]) -> bool:

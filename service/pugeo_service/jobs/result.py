@@ -2,20 +2,22 @@
 """The result of a job over HTTP, with conditional and range requests (RFC 9110)."""
 
 import base64
-import time
 from email.utils import formatdate
-from pathlib import Path
 
+import structlog
 from starlette.requests import Request
 from starlette.responses import FileResponse, MalformedRangeHeader, RangeNotSatisfiable, Response
 
 from pugeo_service.http.negotiation import OUTPUT_FORMATS
 from pugeo_service.http.responses import run_headers
+from pugeo_service.jobs import clock
+from pugeo_service.jobs.files import JobFiles, ResultLostError
 from pugeo_service.jobs.models import Job
 from pugeo_service.problems import ProblemError
 
 __all__ = ["check_available", "result_response"]
 
+_log = structlog.stdlib.get_logger("pugeo.jobs")
 _UNFINISHED_RETRY_S = 1.0
 
 
@@ -26,7 +28,7 @@ def check_available(job: Job) -> None:
         ProblemError: 409 the job is not finished, 410 its result was deleted, or the problem with
             which the job failed.
     """
-    if job.has_result(time.time()):
+    if job.has_result(clock.now()):
         return
     fields = {"job": job.id, "state": job.state}
     if job.problem is not None:
@@ -46,17 +48,18 @@ def check_available(job: Job) -> None:
     raise _deleted(job)
 
 
-def result_response(request: Request, job: Job, path: Path) -> Response:
+def result_response(request: Request, job: Job, files: JobFiles) -> Response:
     """Build the response with a result. It accesses the disk, so call it in a thread.
 
     Args:
         request: request with optional ``If-None-Match``, ``If-Range`` and ``Range``.
         job: a job that passed `check_available`.
-        path: file of the result.
+        files: files of jobs.
 
     Raises:
-        ProblemError: 410, the file does not exist.
+        ProblemError: 410, the file does not exist; 500, its bytes have changed.
     """
+    assert job.result_bytes is not None
     assert job.result_sha256 is not None
     assert job.report is not None
     etag = f'"{job.result_sha256}"'
@@ -76,9 +79,14 @@ def result_response(request: Request, job: Job, path: Path) -> Response:
         kept = {name: headers[name] for name in _NOT_MODIFIED_HEADERS if name in headers}
         return Response(status_code=304, headers=kept)
     try:
+        path = files.result(job.id, job.result_bytes, job.result_sha256)
         status = path.stat()
     except FileNotFoundError as error:
         raise _deleted(job) from error
+    except ResultLostError as error:
+        _log.error("result of a job is damaged", job=job.id, reason=str(error))
+        detail = f"The service lost the result of this job: {error}. Submit the job again."
+        raise ProblemError(500, "result_lost", detail, retryable=False) from error
     media_type = headers.pop("Content-Type")
     return _ResultFile(path, headers=headers, media_type=media_type, stat_result=status)
 

@@ -3,13 +3,12 @@
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Callable
 
 import structlog
 
 from pugeo_service.engine import Engine
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.completion import Completion, crash_problem
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.execution import Execution
@@ -103,7 +102,7 @@ class Runner:
         Raises:
             ProblemError: 503, the database cannot be used.
         """
-        before = time.time() - _UNKNOWN_S
+        before = clock.now() - _UNKNOWN_S
         if await self._database.write(
             repository.requeue_unknown, self._name, list(self._stop_events), before
         ):
@@ -116,7 +115,7 @@ class Runner:
             len(self._tasks) < self._limit
             and self._engine.status.workers
             and not self._draining
-            and (job := await self._database.write(repository.claim, self._name, time.time()))
+            and (job := await self._database.write(repository.claim, self._name, clock.now()))
         ):
             self._stop_events[job.id] = asyncio.Event()
             if self._draining:
@@ -130,7 +129,7 @@ class Runner:
         self._wake.set()
 
     async def _run(self, job: Job, stop: asyncio.Event) -> None:
-        waited = round(time.time() - job.created_at, 3)
+        waited = round(clock.now() - job.created_at, 3)
         with structlog.contextvars.bound_contextvars(job=job.id, request_id=job.request_id):
             _log.info("job started", attempt=job.attempts, waited_s=waited)
             self._on_change()

@@ -6,7 +6,6 @@ import functools
 import hashlib
 import json
 import re
-import time
 from typing import Any
 
 import structlog
@@ -14,16 +13,21 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import IntegrityError
 from starlette.requests import Request
 
+from pugeo_model import formats
+from pugeo_model.errors import CloudError, LimitExceededError
+from pugeo_model.options import Options
 from pugeo_service.admission.admission import Admission
-from pugeo_service.http.body import receive_into
+from pugeo_service.engine.answer_size import check_answer
+from pugeo_service.http.body import announced_bytes, receive_into
 from pugeo_service.http.negotiation import OutputChoice
 from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import repository
+from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, new_id
 from pugeo_service.jobs.quota import Quota
 from pugeo_service.problems import ProblemError
+from pugeo_service.runs import make_run_request
 from pugeo_service.settings import Settings
 from pugeo_service.storage.problems import storage_problems
 
@@ -86,17 +90,25 @@ class Submission:
             The job, and True if it is new. A repeated request returns the earlier job.
 
         Raises:
+            LimitExceededError: the header of the input says that it, or its answer, is too large.
             ProblemError: see `receive_body`; 422 the key belongs to another request, 429 the owner
                 has its share, 503 the capacity is exhausted, the disk is full, or the database
                 fails.
         """
         if key is None or not await self._database.read(repository.find_by_key, owner, key):
-            self._quota.check(owner, 0, *await self._database.read(repository.owner_usage, owner))
+            announced = announced_bytes(request)
+            usage = await self._database.read(repository.owner_usage, owner)
+            self._quota.check(owner, announced, *usage)
         job_id = new_id()
         with self._uploads.reserve(owner) as reservation, self._files.new_input(job_id) as file:
             body = await receive_into(file, request, self._settings, reservation)
             with storage_problems():
                 await file.commit()
+        try:
+            await asyncio.to_thread(self._check_size, job_id, query, body.format)
+        except CloudError:
+            await asyncio.to_thread(self._files.remove_input, job_id)
+            raise
         options = query.model_dump(exclude={"format"})
         answer = choice.for_input(body.read_as).name
         job = Job(
@@ -112,7 +124,7 @@ class Submission:
             answer=answer,
             input_bytes=file.size,
             input_sha256=file.sha256,
-            created_at=time.time(),
+            created_at=clock.now(),
         )
         try:
             stored = await self._insert(job)
@@ -122,6 +134,25 @@ class Submission:
         if stored.id != job.id:
             await asyncio.to_thread(self._files.remove_input, job.id)
         return stored, stored.id == job.id
+
+    def _check_size(self, job_id: str, query: UpsampleQuery, format: str | None) -> None:
+        """Refuse an input whose header says that it, or its answer, is too large.
+
+        Other faults of the input are those of the job.
+        """
+        settings = self._settings
+        limits = formats.Limits(max_points=settings.max_points, max_bytes=settings.max_cloud_bytes)
+        run_request = make_run_request(
+            settings, query.for_model(), format=format, answer="", deadline_s=0.0
+        )
+        try:
+            size = formats.declared(self._files.input_path(job_id), format=format, limits=limits)
+            if size is not None:
+                check_answer(size, Options(**run_request.options), run_request)
+        except LimitExceededError:
+            raise
+        except (CloudError, OSError):
+            return
 
     async def _insert(self, job: Job) -> Job:
         """Insert a job, or return the earlier job of its owner with the same key."""

@@ -11,6 +11,9 @@ from pugeo_service.observability.tracing import add_trace
 
 __all__ = ["configure"]
 
+# Members of an event that have several lines.
+_LINES = frozenset({"exception", "stack"})
+
 
 def configure(log_format: str, level: str) -> None:
     """Send structlog's and the standard library's logs to stderr in one form.
@@ -38,7 +41,12 @@ def configure(log_format: str, level: str) -> None:
         last = [render, structlog.processors.JSONRenderer()]
     else:
         plain = structlog.dev.plain_traceback
-        last = [structlog.dev.ConsoleRenderer(exception_formatter=plain)]
+        # Tracebacks first, so that the texts of errors are escaped too.
+        last = [
+            structlog.processors.format_exc_info,
+            _printable,
+            structlog.dev.ConsoleRenderer(exception_formatter=plain),
+        ]
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
         logger_factory=structlog.stdlib.LoggerFactory(),
@@ -66,3 +74,17 @@ def _without_colors(_logger: Any, _method: str, event: dict[str, Any]) -> dict[s
     """Remove uvicorn's copy of the message with colours."""
     event.pop("color_message", None)
     return event
+
+
+def _printable(_logger: Any, _method: str, event: dict[str, Any]) -> dict[str, Any]:
+    """Escape characters that a terminal would obey; paths and error texts come from clients."""
+    return {key: _escaped(value, "\n" if key in _LINES else "") for key, value in event.items()}
+
+
+def _escaped(value: Any, kept: str) -> Any:
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    return "".join(
+        each if each.isprintable() or each in kept else each.encode("unicode_escape").decode()
+        for each in str(value)
+    )

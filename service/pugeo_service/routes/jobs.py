@@ -2,11 +2,13 @@
 """``/jobs``: upsampling in the background."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractContextManager
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse
+from starlette.types import Receive, Scope, Send
 
 from pugeo_model.errors import CloudError
 from pugeo_service.container import ServiceDep
@@ -14,7 +16,7 @@ from pugeo_service.http.negotiation import OUTPUT_FORMATS, choose_format
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.api_models import JobPage, JobResponse
 from pugeo_service.jobs.events import stream
-from pugeo_service.jobs.models import State
+from pugeo_service.jobs.models import Job, State
 from pugeo_service.jobs.result import check_available, result_response
 from pugeo_service.jobs.submission import idempotency_key
 from pugeo_service.keys import owner_of
@@ -24,6 +26,34 @@ from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
 __all__ = ["router"]
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
+
+
+class _EventStream(EventSourceResponse):
+    """Response whose subscription begins before its headers are sent and ends with it.
+
+    A subscription that is refused is thus still a problem, and one whose client left before the
+    first event is not forgotten.
+
+    Args:
+        subscription: entered for the time of the response.
+        body: returns the events for the queue of the subscription.
+    """
+
+    def __init__(
+        self,
+        subscription: AbstractContextManager["asyncio.Queue[Job | None]"],
+        body: Callable[["asyncio.Queue[Job | None]"], AsyncIterator[bytes]],
+    ) -> None:
+        super().__init__((), headers={"Cache-Control": "no-store"})
+        self._subscription = subscription
+        self._body = body
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send headers and events."""
+        with self._subscription as changes:
+            self.body_iterator = self._body(changes)
+            await super().__call__(scope, receive, send)
+
 
 JobId = Annotated[str, Path(max_length=64, description="id of a job")]
 _POLL_S = "1"
@@ -86,7 +116,7 @@ async def submit(
     return JobResponse.from_job(job)
 
 
-@router.get("", operation_id="list_jobs", responses=problem_responses(401, 422, 503))
+@router.get("", operation_id="list_jobs", responses=problem_responses(401, 404, 422, 503))
 async def list_jobs(
     request: Request,
     service: ServiceDep,
@@ -101,7 +131,7 @@ async def list_jobs(
     return JobPage(jobs=[JobResponse.from_job(job) for job in jobs], next=following)
 
 
-@router.get("/{job_id}", operation_id="get_job", responses=problem_responses(401, 404, 503))
+@router.get("/{job_id}", operation_id="get_job", responses=problem_responses(401, 404, 422, 503))
 async def get_job(
     job_id: JobId, request: Request, response: Response, service: ServiceDep
 ) -> JobResponse:
@@ -121,7 +151,7 @@ async def get_job(
             "description": "Events `state`, `progress` and, at the end, `end`.",
             "content": {"text/event-stream": {}},
         },
-        **problem_responses(401, 404, 503),
+        **problem_responses(401, 404, 422, 429, 503),
     },
 )
 async def events(
@@ -131,32 +161,29 @@ async def events(
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID")] = None,
 ) -> Response:
     """Send each change of a job until its end, as server-sent events."""
-    job = await service.jobs.get(job_id, owner_of(request))
-    service.jobs.changes.check_capacity()
+    owner = owner_of(request)
+    job = await service.jobs.get(job_id, owner)
 
-    async def body() -> AsyncIterator[bytes]:
-        with service.jobs.changes.subscribe(job_id) as changes:
-            async for event in stream(job, changes, last_event_id):
-                yield event
+    def is_valid() -> bool:
+        return not service.keys.required or service.keys.owner(request.headers) == owner
 
-    return EventSourceResponse(body(), headers={"Cache-Control": "no-store"})
+    subscription = service.jobs.changes.subscribe(job_id, job.revision, owner, is_valid)
+    return _EventStream(subscription, lambda changes: stream(job, changes, last_event_id))
 
 
+@router.get(
+    "/{job_id}/result", operation_id="job_result", response_class=Response, responses=_RESULT
+)
 async def result(job_id: JobId, request: Request, service: ServiceDep) -> Response:
     """Return the dense cloud of a job; supports ETag, Range and If-Range."""
     job = await service.jobs.get(job_id, owner_of(request))
     check_available(job)
-    return await asyncio.to_thread(result_response, request, job, service.jobs.files.result(job_id))
+    return await asyncio.to_thread(result_response, request, job, service.jobs.files)
 
 
-# HEAD returns the size, which download managers need.
-router.get(
-    "/{job_id}/result", operation_id="job_result", response_class=Response, responses=_RESULT
-)(result)
-router.head("/{job_id}/result", include_in_schema=False)(result)
-
-
-@router.delete("/{job_id}", operation_id="delete_job", responses=problem_responses(401, 404, 503))
+@router.delete(
+    "/{job_id}", operation_id="delete_job", responses=problem_responses(401, 404, 422, 503)
+)
 async def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> JobResponse:
     """Cancel an active job, or delete the result of a finished one. Idempotent."""
     return JobResponse.from_job(await service.jobs.withdraw(job_id, owner_of(request)))

@@ -13,13 +13,13 @@ __all__ = ["router"]
 router = APIRouter(prefix="/models", tags=["models"])
 
 
-@router.get("", operation_id="list_models")
+@router.get("", operation_id="list_models", responses=problem_responses(422))
 async def list_models(service: ServiceDep) -> dict[str, list[dict[str, Any]]]:
     """List the cards of all models of this service."""
     return {"models": [service.card]}
 
 
-@router.get("/{name}", operation_id="get_model", responses=problem_responses(404))
+@router.get("/{name}", operation_id="get_model", responses=problem_responses(404, 422))
 async def get_model(name: str, service: ServiceDep) -> dict[str, Any]:
     """Return one card: version, sha256, ratio range, training data, measured quality."""
     if name != service.card["name"]:

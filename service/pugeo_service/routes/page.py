@@ -26,14 +26,14 @@ _MEDIA_TYPES = {
 _POLICY = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 
 
-@router.api_route("/", methods=["GET", "HEAD"])
+@router.get("/")
 async def page() -> Response:
     """Return the page; a browser asks each time whether it has changed."""
     headers = {"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"}
     return FileResponse(STATIC / "index.html", media_type="text/html", headers=headers)
 
 
-@router.api_route("/assets/{name}", methods=["GET", "HEAD"])
+@router.get("/assets/{name}")
 async def asset(name: str) -> Response:
     """Return a script, style, icon or example of the page."""
     found = _ASSETS.get(name)

@@ -2,6 +2,7 @@
 """``POST /upsample``: upsampling within one request."""
 
 import asyncio
+from contextlib import ExitStack
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
@@ -62,19 +63,20 @@ async def upsample(
 ) -> Response:
     """Upsample the point cloud in the body: R times as many points, each with a normal."""
     deadline = Deadline(preferred_wait(request.headers), service.settings.deadline_s)
-    try:
-        choice = choose_format(request.headers.get("accept"), query.format)
-        result, output = await _serve(request, service, choice, query, deadline)
-    except (ProblemError, CloudError) as error:
-        service.telemetry.rejected.labels(error.code).inc()
-        raise
-    count_run(service.telemetry, result)
-    for seconds, patches in result.batches:
-        service.admission.patch_cost.add(seconds, patches)
-    headers = response_headers(result, output, service.card)
-    if deadline.wait is not None:
-        headers["Preference-Applied"] = f"wait={deadline.wait}"
-    return SpoolResponse(result, headers)
+    with ExitStack() as held:
+        try:
+            choice = choose_format(request.headers.get("accept"), query.format)
+            result, output = await _serve(request, service, choice, query, deadline, held)
+        except (ProblemError, CloudError) as error:
+            service.telemetry.rejected.labels(error.code).inc()
+            raise
+        count_run(service.telemetry, result)
+        for seconds, patches in result.batches:
+            service.admission.patch_cost.add(seconds, patches)
+        headers = response_headers(result, output, service.card)
+        if deadline.wait is not None:
+            headers["Preference-Applied"] = f"wait={deadline.wait}"
+        return SpoolResponse(result, headers, held.pop_all())
 
 
 async def _serve(
@@ -83,7 +85,9 @@ async def _serve(
     choice: OutputChoice,
     query: UpsampleQuery,
     deadline: Deadline,
+    held: ExitStack,
 ) -> tuple[RunResult, OutputFormat]:
+    """Run a request; the reservation in ``held`` then holds the bytes of the answer."""
     if service.not_ready_because == "no_worker":
         raise ProblemError(
             503,
@@ -91,22 +95,23 @@ async def _serve(
             "No worker is ready yet; try again after the time in Retry-After.",
             retry_after=2,
         )
-    with service.admission.reserve(owner_of(request)) as reservation:
-        try:
-            async with deadline.receiving_body():
-                body = await receive_body(request, service.settings, reservation)
-            with body.spool:
-                output = choice.for_input(body.read_as)
-                reservation.admit(RunRequest.estimate(body.spool.size, body.format))
-                workers = service.engine.status.workers
-                reservation.check_deadline(deadline.remaining, workers, counted=False)
-                result = await _run(request, service, body, output, query, reservation, deadline)
-                return result, output
-        except DeadlinePassedError as error:
-            service.telemetry.cancelled.labels("deadline").inc()
-            detail = f"The request took longer than {deadline.description}."
-            fields = {"limit": deadline.seconds}
-            raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
+    reservation = held.enter_context(service.admission.reserve(owner_of(request)))
+    try:
+        async with deadline.receiving_body():
+            body = await receive_body(request, service.settings, reservation)
+        with body.spool:
+            output = choice.for_input(body.read_as)
+            reservation.admit(RunRequest.estimate(body.spool.size, body.format))
+            workers = service.engine.status.workers
+            reservation.check_deadline(deadline.remaining, workers, counted=False)
+            result = await _run(request, service, body, output, query, reservation, deadline)
+    except DeadlinePassedError as error:
+        service.telemetry.cancelled.labels("deadline").inc()
+        detail = f"The request took longer than {deadline.description}."
+        fields = {"limit": deadline.seconds, "setting": "PUGEO_DEADLINE_S"}
+        raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
+    reservation.hold_answer(result.spool.size)
+    return result, output
 
 
 async def _run(

@@ -57,6 +57,7 @@ class Recorder:
     warm_workers = 2
     worker_names = ("one", "two")
     lost_workers = 0
+    worker_memory: int | None = None
     retried_patches = 0
 
     async def start(self) -> None:

@@ -4,6 +4,8 @@
 import asyncio
 import gc
 import importlib
+import os
+import signal
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -296,3 +298,75 @@ def test_nothing_else_listens(play: Play) -> None:
         await writer.wait_closed()
 
     play(scenario, workers=1)
+
+
+def test_a_stopped_worker_is_replaced(play: Play, tmp_path: Path) -> None:
+    """A worker that hangs is ended; its task is repeated elsewhere and another one comes."""
+    gate, log = tmp_path / "gate", tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        await warm(backend, 2)
+        held = submit(backend, light.hold, str(gate), str(log), "held")
+        await until(log.exists)
+        nannies = {nanny.worker_address: nanny.pid for nanny in backend._cluster.workers.values()}
+        (address,) = [
+            worker
+            for worker, state in backend._cluster.scheduler.workers.items()
+            if held.key in {task.key for task in state.processing}
+        ]
+        os.kill(nannies[address], signal.SIGSTOP)
+        await until(lambda: backend.warm_workers == 1)
+        gate.touch()
+        assert await backend.fetch(held) == "held"
+        await warm(backend, 2)
+        assert nannies[address] not in {n.pid for n in backend._cluster.workers.values()}
+        assert backend.lost_workers == 1
+
+    play(scenario, workers=2)
+
+
+def test_a_lost_scheduler_is_told_at_once(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a connection to the scheduler no worker counts, before the next look."""
+    monkeypatch.setattr(dask_backend, "_CLOSE_S", 1.0)
+
+    async def scenario(backend: DaskBackend) -> None:
+        await warm(backend, 1)
+        assert backend._poll is not None
+        backend._poll.cancel()
+        await backend._cluster.scheduler.close()
+        await until(lambda: backend.warm_workers == 0, 5.0)
+
+    play(scenario, workers=1)
+
+
+def test_a_worker_that_is_stopped_while_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The start is given up, and the stop ends the process, which cannot end itself."""
+    psutil: Any = importlib.import_module("psutil")
+    monkeypatch.setattr(dask_backend, "_RISE_S", 0.5)
+
+    def runs(process: Any) -> bool:
+        try:
+            return bool(process.status() != psutil.STATUS_ZOMBIE)
+        except psutil.NoSuchProcess:
+            return False
+
+    async def run() -> None:
+        backend = DaskBackend(Settings(workers=1, spool_dir=tmp_path))
+        starting = asyncio.create_task(backend.start())
+        children: list[Any] = []
+
+        def born() -> bool:
+            found = psutil.Process().children(recursive=True)
+            children[:] = [each for each in found if "spawn_main" in " ".join(each.cmdline())]
+            return bool(children)
+
+        await until(born)
+        children[0].suspend()
+        starting.cancel()
+        await asyncio.gather(starting, return_exceptions=True)
+        await backend.stop()
+        await until(lambda: not any(map(runs, children)))
+
+    asyncio.run(run())

@@ -122,7 +122,9 @@ def test_an_announced_size_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(ProblemError) as caught:
         take(wire, tmp_path, content_length=str(LIMIT + 1))
     assert (caught.value.status, caught.value.code) == (413, "body_too_large")
-    assert caught.value.fields == {"limit": LIMIT, "value": LIMIT + 1}
+    setting = "PUGEO_MAX_BODY_BYTES"
+    assert caught.value.fields == {"limit": LIMIT, "value": LIMIT + 1, "setting": setting}
+    assert setting in caught.value.detail
     assert len(wire.left) == 1
 
 

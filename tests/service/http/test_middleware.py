@@ -124,6 +124,46 @@ def test_a_client_that_left_is_499() -> None:
     assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}
 
 
+def test_a_request_that_is_cut_off_is_a_problem() -> None:
+    """A request that the server cancels, since it shuts down, gets a 503 that says so."""
+    telemetry = make_telemetry()
+
+    async def wait(_scope: Scope, _receive: Receive, _send: Send) -> None:
+        asyncio.current_task().cancel()  # type: ignore[union-attr]
+        await asyncio.Event().wait()
+
+    start, body = exchange(wait, telemetry)
+    found = orjson.loads(body["body"])
+    assert (start["status"], found["code"], found["retryable"]) == (503, "draining", True)
+    assert b"retry-after" in dict(start["headers"])
+    assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "503"): 1.0}
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_client_that_is_cut_is_499(grouped: bool) -> None:
+    """A response whose connection is gone stops at its next piece, and is no 200 in the log."""
+    gone: list[None] = []
+    pieces = 0
+
+    async def stream(scope: Scope, _receive: Receive, send: Send) -> None:
+        nonlocal pieces
+        scope["pugeo.gone"] = lambda: bool(gone)
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        for pieces in range(1, 9):
+            if pieces == 3:
+                gone.append(None)
+            await send({"type": "http.response.body", "body": b"x", "more_body": True})
+
+    async def in_a_group(scope: Scope, receive: Receive, send: Send) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(stream(scope, receive, send))
+
+    telemetry = make_telemetry()
+    exchange(in_a_group if grouped else stream, telemetry)
+    assert pieces == 3
+    assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}
+
+
 def test_a_late_bug_breaks_the_connection() -> None:
     """After the headers an error is raised, so that the server aborts the connection."""
     with pytest.raises(KeyError):

@@ -148,6 +148,45 @@ def test_a_client_that_reads_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (transport.ended, loop.active(PERIOD)) == ("abort", [])
 
 
+def test_a_client_that_reads_from_the_kernels_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A steady reader is not cut while the kernel's buffer empties and ours does not."""
+    monkeypatch.setattr(protocol, "READ_TIMEOUT_S", PERIOD)
+    queued = [4_000_000]
+    monkeypatch.setattr(protocol, "_queued", lambda _: queued[0])
+    made, loop, transport = connect(ServerProtocol)
+    transport.buffered = 1000
+    made.pause_writing()
+    for queued[0] in (3_700_000, 3_400_000, 3_399_999):
+        loop.fire(PERIOD)
+        assert (transport.ended, len(loop.active(PERIOD))) == ("", 1)
+    loop.fire(PERIOD)
+    assert (transport.ended, loop.active(PERIOD)) == ("abort", [])
+
+
+def test_bytes_in_the_kernels_buffer_are_counted() -> None:
+    """Bytes that the other side has not read are known from the kernel."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        near = socket.create_connection(listener.getsockname())
+        far, _ = listener.accept()
+        with near, far:
+            near.setblocking(False)
+            sent = 0
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    sent += near.send(bytes(1 << 16))
+
+            class Transport:
+                def get_extra_info(self, _name: str) -> socket.socket:
+                    return near
+
+            before = protocol._queued(Transport())  # type: ignore[arg-type]
+            assert 0 < before <= sent
+            near.setblocking(True)
+            far.recv(1 << 20, socket.MSG_WAITALL) if sent > 1 << 20 else far.recv(sent)
+            until(lambda: protocol._queued(Transport()) < before)  # type: ignore[arg-type]
+
+
 def test_a_client_that_reads_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     """The timer is cancelled when the buffer is no longer full."""
     monkeypatch.setattr(protocol, "READ_TIMEOUT_S", PERIOD)

@@ -183,3 +183,44 @@ def test_a_slow_body_is_no_slow_head() -> None:
         protocol.data_received(b"h")
     assert loop.active(HEAD_TIMEOUT_S) == []
     assert transport.ended == ""
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: a\r\n\r\n",
+        b"GET / HTTP/1.0\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a b\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a/b\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: u@a\r\n\r\n",
+        b"POST / HTTP/1.0\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+    ],
+)
+def test_a_head_without_one_host(port: int, head: bytes) -> None:
+    """No Host, two, or one of another form is 400 (RFC 9112, section 3.2)."""
+    assert problem(talk(port, head))["code"] == "malformed_request"
+
+
+@pytest.mark.parametrize("host", [b"a", b"a:8000", b"[::1]:80", b"", b"a_b.c-d"])
+def test_hosts_that_are_taken(port: int, host: bytes) -> None:
+    """Names and addresses are taken, with a port or without; HTTP/1.0 needs none."""
+    assert talk(port, b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n" % host).endswith(b"0 bytes")
+    assert talk(port, b"GET / HTTP/1.0\r\n\r\n").endswith(b"0 bytes")
+
+
+@pytest.mark.parametrize("coding", [b"gzip", b"gzip, chunked", b"identity", b"xchunked"])
+def test_transfer_codings_that_nobody_knows(port: int, coding: bytes) -> None:
+    """A transfer coding that is not understood is 501 (RFC 9112, section 6.1)."""
+    answer = talk(port, LINE + b"Transfer-Encoding: %s\r\n\r\n0\r\n\r\n" % coding)
+    found = problem(answer)
+    assert (found["status"], found["code"]) == (501, "unsupported_transfer_coding")
+
+
+@pytest.mark.parametrize(
+    "fields", [b"chunked, chunked", b"chunked\r\nTransfer-Encoding: chunked", b""]
+)
+def test_broken_transfer_codings(port: int, fields: bytes) -> None:
+    """Chunked twice, or no coding at all, is malformed."""
+    answer = talk(port, LINE + b"Transfer-Encoding: %s\r\n\r\n0\r\n\r\n" % fields)
+    assert problem(answer)["status"] == 400

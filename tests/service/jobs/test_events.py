@@ -4,6 +4,10 @@
 import asyncio
 import dataclasses
 import json
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,12 +15,28 @@ import pytest
 from pugeo_service.jobs.change_feed import ChangeFeed
 from pugeo_service.jobs.events import stream
 from pugeo_service.jobs.models import Job
+from pugeo_service.keys import Entry, hash_of
+from pugeo_service.problems import ProblemError
 
 JOB = Job(
     id="1", owner="", state="queued", revision=1, idempotency_key=None, request_digest="",
     request_id="", options={}, format=None, answer="ply", input_bytes=1, input_sha256="",
     created_at=0.0,
 )  # fmt: skip
+
+
+def feed_of(fetch: Callable[[list[str]], Awaitable[list[Job]]]) -> ChangeFeed:
+    """A feed of the jobs that ``fetch`` returns at each query."""
+    latest: list[Job] = []
+
+    async def revisions(ids: list[str]) -> dict[str, int]:
+        latest[:] = await fetch(ids)
+        return {job.id: job.revision for job in latest}
+
+    async def found(ids: list[str]) -> list[Job]:
+        return [job for job in latest if job.id in ids]
+
+    return ChangeFeed(revisions, found)
 
 
 def events(text: str) -> list[tuple[str, int, Any]]:
@@ -126,7 +146,7 @@ def test_the_end_of_watching_stands() -> None:
             await answered.wait()
             return [JOB]
 
-        feed = ChangeFeed(fetch)
+        feed = feed_of(fetch)
         running = asyncio.create_task(feed.run())
         with feed.subscribe(JOB.id) as changes:
             await asked.wait()
@@ -180,21 +200,97 @@ def test_silence_is_filled() -> None:
 
 def test_watchers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """A subscription beyond the bound is refused; an ended one makes room."""
-    from pugeo_service.problems import ProblemError
-
     monkeypatch.setattr("pugeo_service.jobs.change_feed._MAX_SUBSCRIBERS", 2)
 
     async def nothing(_: list[str]) -> list[Job]:
         return []
 
     async def scenario() -> None:
-        feed = ChangeFeed(nothing)
+        feed = feed_of(nothing)
         with feed.subscribe("a"):
-            with feed.subscribe("a"), pytest.raises(ProblemError):
-                feed.check_capacity()
-            feed.check_capacity()
+            with feed.subscribe("a"), pytest.raises(ProblemError), feed.subscribe("b"):
+                pass
+            with feed.subscribe("b"):
+                pass
 
     asyncio.run(scenario())
+
+
+def test_streams_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One key reaches half of the streams, two a third each, and none is left out."""
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._MAX_SUBSCRIBERS", 12)
+
+    async def nothing(_: list[str]) -> list[Job]:
+        return []
+
+    async def scenario() -> Counter[str]:
+        feed, held = feed_of(nothing), Counter[str]()
+        with ExitStack() as open_streams:
+            for owner in [*("a" * 12), *("b" * 12), *("c" * 12)]:
+                try:
+                    open_streams.enter_context(feed.subscribe("job", owner=owner))
+                except ProblemError as problem:
+                    assert (problem.status, problem.code) == (429, "share_exceeded")  # noqa: PT017
+                else:
+                    held[owner] += 1
+        assert feed._by_owner.total() == 0
+        return held
+
+    assert asyncio.run(scenario()) == {"a": 6, "b": 3, "c": 2}
+
+
+def test_the_work_grows_with_the_number_of_streams(monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 streams, opened one after the other, ask for their jobs some times and not 300 times."""
+    monkeypatch.setattr("pugeo_service.jobs.change_feed._POLL_S", 0.02)
+    count, asked = 300, 0
+
+    async def fetch(ids: list[str]) -> list[Job]:
+        nonlocal asked
+        asked += len(ids)
+        return [dataclasses.replace(JOB, id=each) for each in ids]
+
+    async def scenario() -> None:
+        feed = feed_of(fetch)
+        running = asyncio.create_task(feed.run())
+        with ExitStack() as open_streams:
+            queues = []
+            for number in range(count):
+                queues.append(open_streams.enter_context(feed.subscribe(str(number))))
+                for _ in range(9):  # as long as a request takes to be served
+                    await asyncio.sleep(0)
+            for queue in queues:
+                assert (await queue.get()) is not None
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    asyncio.run(scenario())
+    assert asked < 10 * count
+
+
+def test_a_revoked_key_hears_no_more(play: Any, tmp_path: Path) -> None:
+    """A stream ends once its key is removed; that of another key goes on."""
+    file = tmp_path / "keys"
+    entries = {name: str(Entry(name, hash_of(name))) for name in ("ann", "bob")}
+    file.write_text("\n".join(entries.values()))
+
+    async def scenario(house: Any) -> None:
+        house.engine.hold.clear()
+        calls = {}
+        for name in entries:
+            headers = {"X-API-Key": name}
+            job = (await house.http.post("/jobs", content=b"x", headers=headers)).json()
+            path = f"/jobs/{job['id']}/events"
+            calls[name] = asyncio.create_task(house.http.get(path, headers=headers))
+        await house.eventually(lambda: len(house.jobs.changes._subscribers) == 2)
+        file.write_text(entries["bob"])
+        async with asyncio.timeout(60):
+            told = events((await calls["ann"]).text)
+        assert "end" not in [name for name, _, _ in told]
+        assert not calls["bob"].done()
+        house.engine.hold.set()
+        assert events((await calls["bob"]).text)[-1][0] == "end"
+
+    play(scenario, api_keys_file=file)
 
 
 def test_a_slow_subscriber_gets_the_latest(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,7 +307,7 @@ def test_a_slow_subscriber_gets_the_latest(monkeypatch: pytest.MonkeyPatch) -> N
             asked.set()
             return next(served)
 
-        feed = ChangeFeed(fetch)
+        feed = feed_of(fetch)
         running = asyncio.create_task(feed.run())
         with feed.subscribe("1") as changes:
             for _ in range(3):

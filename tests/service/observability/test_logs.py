@@ -3,6 +3,7 @@
 
 import json
 import logging
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -84,3 +85,22 @@ def test_foreign_logs_have_the_same_form(capsys: pytest.CaptureFixture[str]) -> 
 def test_machines_get_json(capsys: pytest.CaptureFixture[str]) -> None:
     """If stderr is not a terminal, auto means JSON."""
     assert json.loads(logged("auto", capsys))["event"] == "unexpected error"
+
+
+def test_escape_sequences_of_clients(capsys: pytest.CaptureFixture[str]) -> None:
+    """Control characters of a path or an error reach the console as text, on one line."""
+    logs.configure("console", "info")
+    logger = structlog.stdlib.get_logger("test")
+    path = "/\x1b]0;owned\x07\x9b31m\x7f\nfake line\r\u202e"
+    logger.info("request", path=path, odd=[path], word="\x1b]0;owned\x07")
+    try:
+        int(path)
+    except ValueError:
+        logger.exception("unexpected error")
+    text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().err)  # the renderer's own colours
+    assert not [each for each in text if not each.isprintable() and each != "\n"]
+    first, second, *_ = text.splitlines()
+    assert "word=\\x1b]0;owned\\x07" in first
+    assert first.count("fake line") == 2
+    assert "unexpected error" in second
+    assert "Traceback" in text

@@ -15,10 +15,10 @@ from pugeo_model.cloud import Cloud, SourceInfo
 from pugeo_model.errors import CloudError, MalformedFileError
 from pugeo_model.formats.colors import to_channels
 from pugeo_model.formats.las.header import LasInfo, check, import_laspy
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.stream import bytes_left
 
-__all__ = ["read"]
+__all__ = ["declared", "read"]
 
 _BLOCK_ROWS, _BLOCK_BYTES = 1 << 16, 1 << 24
 _SPOOL_BYTES = 1 << 24
@@ -71,6 +71,20 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     columns = {name: np.concatenate([b[name] for b in blocks]) for name in (blocks or [{}])[0]}
     fields = [name for name in columns if name in standard and name not in _CHANNELS]
     return _cloud(columns, fields, SourceInfo("las", crs, info), extended)
+
+
+def declared(file: IO[bytes], limits: Limits) -> Declared:
+    """Return the size of a cloud as the header states it.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: ``max_points`` and ``max_bytes`` are checked.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    with _from_zero(file) as source:
+        return check(source, bytes_left(source), limits)
 
 
 @contextmanager

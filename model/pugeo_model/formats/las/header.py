@@ -7,7 +7,7 @@ from typing import IO, Any
 
 from pugeo_model.errors import MalformedFileError, UnsupportedFormatError
 from pugeo_model.formats.las.chunks import check_chunks
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 
 __all__ = ["LasInfo", "check", "import_laspy"]
 
@@ -66,8 +66,8 @@ def import_laspy() -> Any:
     return laspy
 
 
-def check(file: IO[bytes], size: int, limits: Limits) -> None:
-    """Compare the numbers of a header with the size of the file and the limits.
+def check(file: IO[bytes], size: int, limits: Limits) -> Declared:
+    """Compare the numbers of a header with the size of the file and the limits; return them.
 
     The library trusts them: it would loop over four billion records, or allocate for them.
 
@@ -110,6 +110,7 @@ def check(file: IO[bytes], size: int, limits: Limits) -> None:
     else:
         check_chunks(file, (length, records, start), size, count)
         file.seek(0)
+    return Declared(count, row)
 
 
 def _truncated(expected: int, found: int, count: int = 0) -> MalformedFileError:

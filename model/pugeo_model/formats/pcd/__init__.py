@@ -7,13 +7,25 @@ from typing import IO
 import numpy as np
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.pcd.encode import body, head
 from pugeo_model.formats.pcd.fields import cloud_of
 from pugeo_model.formats.pcd.header import read_header, sniff
 from pugeo_model.formats.pcd.rows import read_columns
+from pugeo_model.formats.ply.encode import rounded
 
-__all__ = ["EXTENSIONS", "MEDIA_TYPES", "NAME", "drops", "head", "read", "rows", "sniff", "write"]
+__all__ = [
+    "EXTENSIONS",
+    "MEDIA_TYPES",
+    "NAME",
+    "declared",
+    "drops",
+    "head",
+    "read",
+    "rows",
+    "sniff",
+    "write",
+]
 
 NAME = "pcd"
 EXTENSIONS: tuple[str, ...] = (".pcd",)
@@ -42,6 +54,20 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     return cloud_of(header, read_columns(file, header, limits))
 
 
+def declared(file: IO[bytes], limits: Limits) -> Declared:
+    """Return the size of a cloud as the header states it.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: bounds of the header and of the number of points.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    header = read_header(file, limits)
+    return Declared(header.points, header.row_bytes)
+
+
 def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write binary PCD: points and scalars in their own types, colours packed as ``rgb``."""
     file.write(head(cloud, len(cloud)))
@@ -56,7 +82,7 @@ def rows(cloud: Cloud) -> Iterator[bytes]:
 
 def drops(cloud: Cloud) -> list[str]:
     """Name the attributes that the format has no room for."""
-    found = []
+    found = rounded(cloud)
     if cloud.colors is not None and cloud.colors.dtype == np.uint16:
         found.append("the lower 8 of 16 bits of colours")
     if cloud.colors is not None and cloud.colors.shape[1] == 4:

@@ -7,12 +7,12 @@ from typing import IO
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import MalformedFileError
-from pugeo_model.formats.limits import Limits
+from pugeo_model.formats.limits import Declared, Limits
 from pugeo_model.formats.numbers import NumberLines
 from pugeo_model.formats.ply import binary, text
 from pugeo_model.formats.ply.columns import VertexColumns
-from pugeo_model.formats.ply.encode import body, encode, header, size
-from pugeo_model.formats.ply.header import Header, read_header
+from pugeo_model.formats.ply.encode import body, encode, header, rounded, size
+from pugeo_model.formats.ply.header import Element, Header, read_header
 from pugeo_model.formats.stream import bytes_left
 
 __all__ = [
@@ -20,6 +20,8 @@ __all__ = [
     "MEDIA_TYPES",
     "NAME",
     "body",
+    "declared",
+    "drops",
     "encode",
     "head",
     "header",
@@ -57,9 +59,7 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
         LimitExceededError: header or number of points above ``limits``.
     """
     parsed = read_header(file, limits)
-    vertex = next((each for each in parsed.elements if each.name == "vertex"), None)
-    if vertex is None:
-        raise MalformedFileError("The PLY file has no element 'vertex'.", code="missing_property")
+    vertex = _vertices(parsed)
     _check_size(file, parsed)
     columns = VertexColumns(vertex)
     index = parsed.elements.index(vertex)
@@ -88,10 +88,29 @@ def read(file: IO[bytes], limits: Limits) -> Cloud:
     return columns.cloud()
 
 
+def declared(file: IO[bytes], limits: Limits) -> Declared:
+    """Return the size of a cloud as the header states it.
+
+    Args:
+        file: seekable, at the first byte.
+        limits: bounds of the header and of the number of points.
+
+    Raises:
+        MalformedFileError, LimitExceededError: as `read`.
+    """
+    vertex = _vertices(read_header(file, limits))
+    return Declared(vertex.count, vertex.least_row_bytes)
+
+
 def write(cloud: Cloud, file: IO[bytes]) -> None:
     """Write binary little endian: points in their own precision, scalars in their own types."""
     for block in encode(cloud):
         file.write(block)
+
+
+def drops(cloud: Cloud) -> list[str]:
+    """Name the attributes that the format has no room for."""
+    return rounded(cloud)
 
 
 def head(cloud: Cloud, count: int) -> bytes:
@@ -102,6 +121,13 @@ def head(cloud: Cloud, count: int) -> bytes:
 def rows(cloud: Cloud) -> Iterator[bytes]:
     """The rows of some of the points."""
     return body(cloud)
+
+
+def _vertices(parsed: Header) -> Element:
+    vertex = next((each for each in parsed.elements if each.name == "vertex"), None)
+    if vertex is None:
+        raise MalformedFileError("The PLY file has no element 'vertex'.", code="missing_property")
+    return vertex
 
 
 def _check_size(file: IO[bytes], parsed: Header) -> None:

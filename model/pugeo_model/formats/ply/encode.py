@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 
-__all__ = ["RESERVED", "Column", "body", "columns", "encode", "header", "size"]
+__all__ = ["RESERVED", "Column", "body", "columns", "encode", "header", "rounded", "size"]
 
 _NAMES = {
     "i1": "char",
@@ -24,6 +24,7 @@ _NAMES = {
     "f8": "double",
 }
 _BLOCK_ROWS = 16_384
+_EXACT = 2**53  # doubles have all whole numbers up to here
 _POINTS = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = ("red", "green", "blue", "alpha")
@@ -107,6 +108,17 @@ def columns(cloud: Cloud) -> list[Column]:
         taken.add(written)
         found.append(Column(written, _type_of(values), values))
     return found
+
+
+def rounded(cloud: Cloud) -> list[str]:
+    """Name the integers that some value of is rounded, since they are written as doubles."""
+    return [
+        f"the bits of {name} beyond 2^53"
+        for name, values in cloud.scalars.items()
+        if values.dtype.kind in "iu"
+        and _type_of(values) == "f8"
+        and max(-int(values.min()), int(values.max())) > _EXACT
+    ]
 
 
 def _free_name(name: str, taken: set[str]) -> str:
