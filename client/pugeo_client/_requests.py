@@ -129,18 +129,29 @@ class Options(TypedDict, total=False):
         n_points: exact number of output points, instead of a ratio.
         orient: rule for the sign of the normals: ``auto``, ``viewpoint``, ``mst``, ``outward``,
             ``input`` or ``none``.
-        viewpoint: ``(x, y, z)`` that normals face, in the frame and units of the cloud.
+        viewpoint: ``(x, y, z)`` that normals face, in the frame and units of the cloud, or
+            several such positions of a scanner.
         seed: of the point placement; the same seed gives the same cloud.
         keep_input: the output begins with the input points, unchanged and in their order. By
             default noise is smoothed away, and input points stay where they fit an even spacing.
+        density: ``input``, as dense as the scan is at each place, or ``even``, one spacing over
+            the whole surface.
+        spacing: mean distance of neighbouring output points in the units of the cloud, instead of
+            a ratio; means density ``even``.
+        max_gap: largest distance of an output point from the input, in the units of the cloud.
+        denoise: with ratio 1, the input points are moved onto the surface.
     """
 
     R: float | None
     n_points: int | None
     orient: str
-    viewpoint: Sequence[float] | None
+    viewpoint: Sequence[float] | Sequence[Sequence[float]] | None
     seed: int
     keep_input: bool
+    density: str
+    spacing: float | None
+    max_gap: float | None
+    denoise: bool
 
 
 def upsample_request(
@@ -151,9 +162,13 @@ def upsample_request(
     R: float | None = None,
     n_points: int | None = None,
     orient: str = "auto",
-    viewpoint: Sequence[float] | None = None,
+    viewpoint: Sequence[float] | Sequence[Sequence[float]] | None = None,
     seed: int = 0,
     keep_input: bool = False,
+    density: str = "input",
+    spacing: float | None = None,
+    max_gap: float | None = None,
+    denoise: bool = False,
 ) -> Request:
     """Build ``POST /upsample``.
 
@@ -165,14 +180,19 @@ def upsample_request(
 
     Raises:
         SourceError: the source cannot be sent, an option is no number, or more than one of
-            ``ratio``, ``R`` and ``n_points`` is given.
+            ``ratio``, ``R``, ``n_points`` and ``spacing`` is given.
     """
     params = {"orient": str(orient), "seed": str(_whole("seed", seed)), "format": format}
-    if keep_input:
-        params["keep_input"] = "true"
-    params |= _density(ratio, R, n_points)
+    params |= _number_of_points(ratio, R, n_points, spacing)
+    switches = {"keep_input": keep_input, "denoise": denoise}
+    params |= {name: "true" for name, value in switches.items() if value}
+    if density != "input":
+        params["density"] = str(density)
+    if max_gap is not None:
+        params["max_gap"] = repr(_number("max_gap", max_gap))
     if viewpoint is not None:
-        params["viewpoint"] = ",".join(repr(value) for value in _position(viewpoint))
+        positions = [",".join(map(repr, position)) for position in _positions(viewpoint)]
+        params["viewpoint"] = ";".join(positions)
     body = make_body(source)
     headers = {"Content-Type": body.media_type}
     if body.length is not None:
@@ -221,11 +241,17 @@ def list_request(state: str | None, cursor: str | None) -> Request:
     return Request("GET", "/jobs", params=params)
 
 
-def _density(ratio: float | None, R: float | None, n_points: int | None) -> dict[str, str]:
-    named = {"ratio": ratio, "R": R, "n_points": n_points}
+def _number_of_points(
+    ratio: float | None, R: float | None, n_points: int | None, spacing: float | None
+) -> dict[str, str]:
+    named = {"ratio": ratio, "R": R, "n_points": n_points, "spacing": spacing}
     given = [name for name, value in named.items() if value is not None]
     if len(given) > 1:
-        raise SourceError(f"give only one of ratio, R and n_points, not {' and '.join(given)}")
+        raise SourceError(
+            f"give only one of ratio, R, n_points and spacing, not {' and '.join(given)}"
+        )
+    if spacing is not None:
+        return {"spacing": repr(_number("spacing", spacing))}
     if n_points is not None:
         return {"n_points": str(_whole("n_points", n_points))}
     value = R if ratio is None else ratio
@@ -233,6 +259,13 @@ def _density(ratio: float | None, R: float | None, n_points: int | None) -> dict
         return {"R": repr(float(DEFAULT_RATIO if value is None else value))}
     except (TypeError, ValueError) as error:
         raise SourceError(f"the ratio must be a number from 1 to 32, not {value!r}") from error
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError) as error:
+        raise SourceError(f"{name} must be a number, not {value!r}") from error
 
 
 def _whole(name: str, value: Any) -> int:
@@ -243,11 +276,16 @@ def _whole(name: str, value: Any) -> int:
         raise SourceError(f"{name} must be a whole number, not {value!r}") from error
 
 
-def _position(viewpoint: Sequence[float]) -> list[float]:
+def _positions(viewpoint: Any) -> list[list[float]]:
     try:
-        position = np.asarray(viewpoint, dtype=np.float64)
+        positions = np.asarray(viewpoint, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise SourceError(f"viewpoint must be x, y, z, not {viewpoint!r}") from error
-    if position.shape != (3,):
-        raise SourceError(f"viewpoint must be x, y, z, not numbers of shape {position.shape}")
-    return [float(value) for value in position]
+    if positions.shape == (3,):
+        positions = positions[None]
+    if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions):
+        raise SourceError(
+            f"viewpoint must be x, y, z, or several such, not numbers of shape {positions.shape}"
+        )
+    rows: list[list[float]] = positions.tolist()
+    return rows

@@ -39,7 +39,8 @@ class Meta:
         request_id: id of the request in the log of the service.
         points_in: number of points in the input.
         points_out: number of points in the result.
-        dropped: reason -> number of input points left out (``non_finite``, ``duplicate``).
+        dropped: reason -> number of input points left out: ``non_finite``, ``duplicate``,
+            ``wild``.
         timings: stage -> seconds on the service.
         notes: sentences about what the service guessed or left out.
     """

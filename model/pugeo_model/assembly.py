@@ -13,7 +13,6 @@ from pugeo_model.finish import Border, UpsampledTile
 from pugeo_model.orient.across_tiles import signs_across_tiles
 from pugeo_model.plan import Plan
 from pugeo_model.resample.seams import separate
-from pugeo_model.tiles import TileSpec
 
 __all__ = ["Agreement", "Result", "agree", "apply_agreement", "assemble"]
 
@@ -81,16 +80,17 @@ def assemble(plan: Plan, tiles: Sequence[UpsampledTile]) -> Result:
     clouds = [apply_agreement(*both) for both in zip(tiles, agreements, strict=True)]
     dense = clouds[0] if len(clouds) == 1 else Cloud.join(clouds)
     if not plan.tiles_in_order:
-        dense = dense.take(_input_first(plan.tile_specs))
+        dense = dense.take(_input_first(plan))
     return Result(replace(dense, notes=plan.cloud.notes), plan.final_report(tiles[0].noise))
 
 
-def _input_first(specs: Sequence[TileSpec]) -> NDArray[np.int64]:
+def _input_first(plan: Plan) -> NDArray[np.int64]:
     """Rows of the joined tiles: the input points in the input's order, then the new points."""
-    starts = np.cumsum([0] + [spec.n_out for spec in specs])
-    inputs, new = [], []
-    for start, spec in zip(starts, specs, strict=False):
-        inputs.append(start + np.arange(spec.core))
-        new.append(start + np.arange(spec.core, spec.n_out))
-    input_order = np.argsort(np.concatenate([spec.rows[: spec.core] for spec in specs]))
+    starts = np.cumsum([0] + [spec.n_out for spec in plan.tile_specs])
+    inputs, new, rows = [], [], []
+    for start, spec in zip(starts, plan.tile_specs, strict=False):
+        rows.append(plan.input_rows(spec))
+        inputs.append(start + np.arange(len(rows[-1])))
+        new.append(start + np.arange(len(rows[-1]), spec.n_out))
+    input_order = np.argsort(np.concatenate(rows))
     return np.concatenate([np.concatenate(inputs)[input_order], *new])

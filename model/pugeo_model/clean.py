@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cleaning of the input: non-finite points, exact duplicates and unusable normals are dropped."""
+"""Cleaning of the input: non-finite, wild and duplicate points and bad normals are dropped."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.orient.given import usable_normals
+from pugeo_model.outliers import wild_points
 
 __all__ = ["Dropped", "clean"]
 
@@ -23,14 +24,16 @@ class Dropped:
     Attributes:
         non_finite: points with a NaN or infinite coordinate.
         duplicate: points with exactly the coordinates of an earlier point (-0.0 equals 0.0).
+        wild: points so far away that the others would shrink to a spot, see `wild_points`.
     """
 
     non_finite: int
     duplicate: int
+    wild: int = 0
 
 
 def clean(cloud: Cloud) -> tuple[Cloud, Dropped]:
-    """Drop non-finite points and exact duplicates; the first of each set of duplicates stays.
+    """Drop non-finite points, wild points and duplicates; the first of each duplicate stays.
 
     Normals that cannot be used become zero or are left out, with a note, see `usable_normals`.
 
@@ -45,12 +48,15 @@ def clean(cloud: Cloud) -> tuple[Cloud, Dropped]:
     non_finite = len(cloud) - int(np.count_nonzero(finite))
     if non_finite:
         cloud = cloud.take(finite)
+    wild = wild_points(cloud.points)
+    if wild.any():
+        cloud = cloud.take(~wild)
     repeated = _repeated_rows(cloud.points)
     if len(repeated):
         keep = np.ones(len(cloud), np.bool_)
         keep[repeated] = False
         cloud = cloud.take(keep)
-    return usable_normals(cloud), Dropped(non_finite, len(repeated))
+    return usable_normals(cloud), Dropped(non_finite, len(repeated), int(np.count_nonzero(wild)))
 
 
 def _finite_rows(rows: NDArray[Any]) -> NDArray[np.bool_]:

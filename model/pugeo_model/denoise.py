@@ -20,7 +20,8 @@ def needs_denoising(prepared: PreparedTile) -> bool:
     if tile.patch_ratio is not None:
         # Networks that upsample whole patches predict no charts to move points onto.
         return False
-    return prepared.noise > TUNING.noise_threshold and not tile.keeps_input and tile.noisy is None
+    may_move = tile.moves_input or not tile.keeps_input
+    return prepared.noise > TUNING.noise_threshold and may_move and tile.noisy is None
 
 
 def input_is_exact(prepared: PreparedTile, projected: NDArray[np.float64]) -> bool:

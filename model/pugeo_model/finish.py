@@ -13,9 +13,10 @@ from pugeo_model.normalise import Normalisation
 from pugeo_model.orient.across_tiles import TileSigns
 from pugeo_model.orient.dense import orient_dense
 from pugeo_model.orient.signs import orient_along, orient_by_input, transfer_signs
+from pugeo_model.orient.stations import orient_by_stations
 from pugeo_model.prepare import PreparedTile
 from pugeo_model.resample.atlas import Projected
-from pugeo_model.resample.elimination import packing_radius
+from pugeo_model.resample.bounds import bounded_spacing, distance_bounds
 from pugeo_model.resample.seams import BorderPoints
 from pugeo_model.resample.selection import spread_evenly
 from pugeo_model.tuning import TUNING
@@ -65,14 +66,16 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         projected: its dense points with normals of any sign, unit scale.
     """
     tile = prepared.tile
-    if tile.keeps_input:
+    if tile.keeps_input and tile.input is None:
         # The input points lead, in the order of the patches; restore the order of the tile.
         tile_order = np.argsort(prepared.order[prepared.core])
         projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
-    elif tile.noisy is not None:
+    elif not tile.keeps_input and (tile.noisy is not None or tile.input is not None):
         projected = replace(projected, points=_spread_evenly(prepared, projected))
+    projected = _within_bounds(prepared, projected)
     normals, signs, parts = _oriented(prepared, projected)
-    source = replace(prepared.cloud, points=prepared.points)
+    places = prepared.points if tile.input is None else tile.input.points
+    source = replace(prepared.cloud, points=places)
     colors, scalars = transfer_attributes(source, projected.points)
     dense = replace(
         prepared.cloud,
@@ -81,8 +84,8 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         colors=colors,
         scalars=scalars,
     )
-    if tile.keeps_input:
-        dense.points[: tile.core] = tile.cloud.points[: tile.core]
+    if tile.keeps_input and not tile.moves_input:
+        dense.points[: tile.kept] = tile.cloud.points[: tile.kept]
     border = Border(signs, None if prepared.core.all() else _border_points(prepared, projected))
     return UpsampledTile(dense, parts, border, prepared.noise, tile.normalisation)
 
@@ -93,10 +96,35 @@ def _spread_evenly(prepared: PreparedTile, projected: Projected) -> NDArray[np.f
         projected.points,
         projected.normals,
         projected.nearest,
-        prepared.area,
+        prepared.radii,
         prepared.neighbours,
         prepared.core,
     )
+
+
+def _within_bounds(prepared: PreparedTile, projected: Projected) -> Projected:
+    """Move points that are too far from the input to the largest distance; kept ones stay."""
+    limit, nearest = distance_bounds(
+        projected.points,
+        projected.normals,
+        projected.nearest,
+        prepared.points,
+        prepared.neighbours,
+        bounded_spacing(prepared.frames.spacing, prepared.neighbours),
+        prepared.tile.max_gap,
+        shadows=False,
+    )
+    offset = projected.points - prepared.points[nearest]
+    distance = np.linalg.norm(offset, axis=1)
+    far = distance > limit
+    if prepared.tile.keeps_input and not prepared.tile.moves_input:
+        far[: prepared.tile.kept] = False
+    if not far.any():
+        return projected
+    points = projected.points.copy()
+    shrink = (limit[far] / distance[far])[:, None]
+    points[far] = prepared.points[nearest[far]] + offset[far] * shrink
+    return replace(projected, points=points)
 
 
 def _oriented(
@@ -119,12 +147,15 @@ def _oriented(
         # The smallest integer dtype saves memory: parts are few, points are many.
         return normals, tile_signs, parts.astype(np.min_scalar_type(parts.max()))
     if tile.orient == "input":
-        assert prepared.cloud.normals is not None
-        oriented = orient_by_input(axes, prepared.cloud.normals, graph)
+        oriented = orient_by_input(axes, _given_normals(prepared), graph)
+        return transfer_signs(projected.normals, projected.nearest, oriented), None, None
+    if tile.orient == "viewpoint" and tile.sights is not None:
+        oriented = orient_by_stations(axes, tile.sights[prepared.order], graph)
         return transfer_signs(projected.normals, projected.nearest, oriented), None, None
     if tile.orient == "viewpoint":
-        viewpoints = _viewpoints(prepared, projected)
-        normals = orient_along(projected.normals, viewpoints - projected.points)
+        assert tile.viewpoint is not None
+        place = np.asarray(tile.normalisation.unit(tile.viewpoint))
+        normals = orient_along(projected.normals, place - projected.points)
     elif tile.orient == "outward":
         normals = orient_along(projected.normals, projected.points - tile.centroid)
     else:
@@ -132,16 +163,16 @@ def _oriented(
     return normals, None, None
 
 
-def _viewpoints(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:
-    """Sensor positions, unit scale: ``(3,)`` for all dense points, or ``(K, 3)``, one for each."""
-    tile, cloud = prepared.tile, prepared.cloud
-    if tile.viewpoint is not None:
-        return np.asarray(tile.normalisation.unit(tile.viewpoint))
-    assert cloud.viewpoints is not None
-    places = (cloud.viewpoints - tile.normalisation.offset) / tile.normalisation.scale
-    if len(places) == 1:
-        return np.asarray(places[0])
-    return np.asarray(places[cloud.scalars["scan"][projected.nearest]])
+def _given_normals(prepared: PreparedTile) -> NDArray[np.float32]:
+    """Normals of the input at the charts ``(M, 3)``, summed over the points of a chart."""
+    given, source = prepared.cloud.normals, prepared.tile.input
+    assert given is not None
+    if source is None:
+        return given
+    chart = np.argsort(prepared.order)[source.chart]
+    count = len(prepared.points)
+    sums = [np.bincount(chart, column, count) for column in np.nan_to_num(given).T]
+    return np.stack(sums, axis=1).astype(np.float32)
 
 
 def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints:
@@ -151,9 +182,9 @@ def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints
     interior = prepared.core & near_core.all(axis=1)
     rows = np.flatnonzero(~interior[projected.nearest])
     owner = projected.nearest[rows]
-    radius = packing_radius(prepared.area * (tile.core / tile.n_out))[owner]
+    radius = prepared.radii[owner]
     if tile.keeps_input:
-        radius[rows < tile.core] = 0.0
+        radius[rows < tile.kept] = 0.0
     close = near_core[:, : TUNING.orientation_neighbours].all(axis=1)
     outermost = ~(prepared.core & close)[owner]
     return BorderPoints(

@@ -158,7 +158,8 @@ def _processor() -> str:
 
 def _drop_outdated() -> None:
     """Delete kernels in the package that were compiled with other constants."""
-    digest = hashlib.sha256((_PACKAGE / "tuning.py").read_bytes()).hexdigest()
+    constants = sorted(_PACKAGE.glob("tuning*.py"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in constants)).hexdigest()
     stamp = _PACKAGE / "__pycache__" / "tuning.sha256"
     if stamp.exists() and stamp.read_text("utf-8") == digest:
         return

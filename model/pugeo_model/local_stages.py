@@ -98,7 +98,7 @@ class LocalStages:
         with self.times.measure("predict"):
             for patch in prepared.patches:
                 self._progress("predict", len(charts) / len(prepared.patches))
-                charts.append(self._model.charts(patch, prepared.tile.candidates))
+                charts.append(self._model.charts(patch, prepared.candidates))
         self.batches.append((self.times.seconds["predict"] - before, len(charts)))
         return charts
 

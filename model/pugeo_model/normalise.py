@@ -14,6 +14,7 @@ __all__ = ["FEWEST", "Normalisation", "normalise"]
 FEWEST = 8
 """Smallest number of points: fewer determine no curvature."""
 
+_SMALLEST, _LARGEST = 1e-300, 1.7e308  # longest side, so that quotients stay exact
 _THIN = 1e-5  # ratio of the second to the first extent below which points count as collinear
 
 
@@ -65,6 +66,16 @@ def normalise(points: NDArray[Any]) -> tuple[NDArray[np.float64], Normalisation]
     # Halved first: sum and difference could overflow, since coordinates reach 1e308.
     offset, half = low / 2 + high / 2, high / 2 - low / 2
     scale = float(half.max()) * 2
+    if not _SMALLEST <= scale <= _LARGEST:
+        raise UntreatableCloudError(
+            f"the longest side of the cloud is {2 * (half.max() / 10.0**300):.3g}e300; it must lie "
+            f"between {_SMALLEST:g} and {_LARGEST:g}: rescale the coordinates"
+            if scale > 1.0
+            else f"the longest side of the cloud is {scale:.3g}; it must lie between "
+            f"{_SMALLEST:g} and {_LARGEST:g}: rescale the coordinates",
+            code="extent_out_of_range",
+            limit=[_SMALLEST, _LARGEST],
+        )
     unit = (points.astype(np.float64) - offset) / scale
     values = np.linalg.eigvalsh(np.cov(unit.T))
     if values[1] < _THIN**2 * values[2]:

@@ -8,10 +8,16 @@ from typing import Any, NoReturn
 from pugeo_model.errors import BadOptionError
 from pugeo_model.orient.methods import METHODS
 
-__all__ = ["LARGEST_RATIO", "Options", "refuse"]
+__all__ = ["DENSITIES", "LARGEST_RATIO", "Options", "Position", "refuse"]
+
+_AXES = 3
+Position = tuple[float, float, float]
 
 LARGEST_RATIO = 32.0
 """Largest upsampling ratio."""
+
+DENSITIES = ("even", "input")
+"""Densities of the output: one spacing over the whole surface, or that of the input."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +30,20 @@ class Options:
         n_points: number of output points; replaces the ratio.
         orient: method that gives normals their signs: ``auto``, ``input``, ``viewpoint``,
             ``mst``, ``outward`` or ``none``.
-        viewpoint: sensor position ``(x, y, z)`` in the cloud's own frame and units.
+        viewpoint: sensor position ``(x, y, z)`` in the cloud's own frame and units, or several
+            such positions.
         seed: 0..2^63-1; each seed gives another, equally even sample.
         keep_input: the output begins with the cleaned input points, unchanged and in their
             order; new points are distributed between them. Otherwise noise is removed, and clean
             input points are kept only where they fit into an even distribution.
+        density: ``input``, the density of the output follows that of the input; ``even``, one
+            spacing over the whole surface.
+        spacing: mean distance of neighbouring output points, in the cloud's units; replaces the
+            ratio and means density ``even``.
+        max_gap: largest distance of an output point from the input, in the cloud's units; by
+            default 1.25 local spacings.
+        denoise: with ratio 1, move the input points onto the surface; they keep their order and
+            attributes.
 
     Raises:
         BadOptionError: a value is out of range; its ``fields`` hold the name and the value.
@@ -37,9 +52,13 @@ class Options:
     ratio: float = 4.0
     n_points: int | None = None
     orient: str = "auto"
-    viewpoint: tuple[float, float, float] | None = None
+    viewpoint: Position | tuple[Position, ...] | None = None
     seed: int = 0
     keep_input: bool = False
+    density: str = "input"
+    spacing: float | None = None
+    max_gap: float | None = None
+    denoise: bool = False
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.ratio <= LARGEST_RATIO:
@@ -48,19 +67,54 @@ class Options:
             refuse("n_points", self.n_points, "a positive whole number")
         if self.orient not in METHODS:
             refuse("orient", self.orient, f"one of {', '.join(METHODS)}", allowed=list(METHODS))
-        if self.viewpoint is not None and (not all(math.isfinite(v) for v in self.viewpoint)):
-            refuse("viewpoint", list(self.viewpoint), "three finite numbers x, y, z")
-        if self.orient == "viewpoint" and self.viewpoint is None:
+        if not all(len(at) == _AXES and all(map(math.isfinite, at)) for at in self.viewpoints):
+            refuse("viewpoint", self.viewpoint, "three finite numbers x, y, z")
+        if self.orient == "viewpoint" and not self.viewpoints:
             refuse("viewpoint", None, "given where orient is 'viewpoint'")
         if not 0 <= self.seed < 2**63:
             refuse("seed", self.seed, "a whole number from 0 to 2^63 - 1")
+        if self.density not in DENSITIES:
+            refuse("density", self.density, "even or input", allowed=list(DENSITIES))
+        for name in ("spacing", "max_gap"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                refuse(name, value, "a positive number, in the units of the cloud")
+        self._check_combinations()
+
+    def _check_combinations(self) -> None:
+        """Refuse options that contradict each other."""
+        if self.spacing is not None and self.n_points is not None:
+            refuse("spacing", self.spacing, "given without n_points")
+        if self.spacing is not None and self.keep_input:
+            refuse("spacing", self.spacing, "given without keep_input, whose points have their own")
+        if self.denoise and (self.keep_input or self.n_points or self.spacing or self.ratio != 1.0):
+            refuse(
+                "denoise",
+                self.denoise,
+                "used with ratio 1 and without keep_input; other ratios remove noise by themselves",
+            )
+
+    @property
+    def viewpoints(self) -> tuple[Position, ...]:
+        """All sensor positions."""
+        if self.viewpoint is None:
+            return ()
+        first = self.viewpoint[0]
+        return (self.viewpoint,) if isinstance(first, int | float) else self.viewpoint  # type: ignore[return-value]
+
+    @property
+    def is_even(self) -> bool:
+        """True if the output has one spacing over the whole surface."""
+        return self.density == "even" or self.spacing is not None
 
     def points_out(self, count: int) -> int:
         """Return the number of output points for ``M`` input points: round(R M), halves up."""
         return self.n_points or math.floor(self.ratio * count + 0.5)
 
     def keeps_points(self, count: int) -> bool:
-        """Return whether the output begins with the input points: by option, or at ratio 1."""
+        """Return whether the output has the input points, in order: by option, or at ratio 1."""
+        if self.spacing is not None:
+            return False
         return self.keep_input or self.points_out(count) == count
 
 

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from pugeo_model.attributes import mark_labels
 from pugeo_model.clean import clean
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.areas import area_of_spacing, areas_of_quotas, spacing_of_area
+from pugeo_model.geometry.neighbours import SPACING_NEIGHBOURS, nearest, spacing
 from pugeo_model.geometry.overlapping import patch_count
-from pugeo_model.normalise import Normalisation, normalise
+from pugeo_model.input_points import InputPoints, represent
+from pugeo_model.normalise import FEWEST, Normalisation, normalise
 from pugeo_model.options import LARGEST_RATIO, Options, refuse
 from pugeo_model.orient.given import signs_agree
 from pugeo_model.orient.methods import resolve_method
+from pugeo_model.orient.stations import directions_to_stations, station_numbers
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
 from pugeo_model.units import coordinate_warnings
@@ -30,7 +34,11 @@ class Plan:
 
     Attributes:
         cloud: the cleaned input.
-        points: ``(M, 3)`` float64, unit scale.
+        points: ``(M, 3)`` float64 points of the charts, unit scale.
+        input: the input points behind the charts; ``None`` if each has its own chart.
+        weights: ``(M,)`` float64 to which the numbers of output points of charts are
+            proportional: squared spacings with density ``even``, else numbers of represented
+            points; ``None`` if all are equal.
         normalisation: map between the cloud's own frame and the unit frame.
         centroid: ``(3,)`` float64, unit scale.
         tile_specs: rows and sizes of the tiles, see :mod:`pugeo_model.tiles`.
@@ -38,6 +46,9 @@ class Plan:
         spacing: median spacing of the whole cloud, unit scale; ``None`` likewise.
         options: options of the caller.
         orient: the method that gives normals their signs, never ``auto``.
+        viewpoint: sensor position in the cloud's own frame and units, if there is one.
+        sights: ``(M, 3)`` float32, see `directions_to_stations`; ``None`` unless several
+            stations give the normals their signs.
         n_out: number of output points.
         report: counts and notes so far, JSON-able.
         patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
@@ -45,6 +56,8 @@ class Plan:
 
     cloud: Cloud
     points: NDArray[np.float64]
+    input: InputPoints | None
+    weights: NDArray[np.float64] | None
     normalisation: Normalisation
     centroid: NDArray[np.float64]
     tile_specs: list[TileSpec]
@@ -52,6 +65,8 @@ class Plan:
     spacing: float | None
     options: Options
     orient: str
+    viewpoint: tuple[float, float, float] | None
+    sights: NDArray[np.float32] | None
     n_out: int
     report: dict[str, Any]
     patch_ratio: int | None = None
@@ -59,12 +74,24 @@ class Plan:
     @property
     def keeps_input(self) -> bool:
         """True if the output begins with the input points."""
-        return self.options.keeps_points(len(self.points))
+        return self.options.keeps_points(len(self.cloud))
 
     @property
     def tiles_in_order(self) -> bool:
         """True if the output is the points of the tiles, one after the other."""
         return len(self.tile_specs) == 1 or not self.keeps_input
+
+    @property
+    def usual_weight(self) -> float:
+        """Weight of the usual chart: the median of areas, which gaps do not change, or the mean."""
+        if self.weights is None:
+            return 1.0
+        return float(np.median(self.weights) if self.options.is_even else self.weights.mean())
+
+    def input_rows(self, spec: TileSpec) -> NDArray[np.int32]:
+        """Rows of the cleaned cloud behind the core of a tile, in the order of its output."""
+        rows = spec.rows[: spec.core]
+        return rows if self.input is None else self.input.behind(rows)[0]
 
     def final_report(self, noise: float) -> dict[str, Any]:
         """Complete the report with the noise level.
@@ -83,9 +110,13 @@ class Plan:
         """Return tile ``number`` with its data."""
         spec = self.tile_specs[number]
         whole = len(self.tile_specs) == 1
+        source = None
+        if self.input is not None:
+            source = self.input.of_charts(spec.rows, spec.core, self.cloud)
+        cloud = source.cloud if source else self.cloud if whole else self.cloud.take(spec.rows)
         wanted = math.ceil(TUNING.oversampling * self.n_out / len(self.points))
         return Tile(
-            cloud=self.cloud if whole else self.cloud.take(spec.rows),
+            cloud=cloud,
             points=self.points if whole else self.points[spec.rows],
             rows=spec.rows,
             core=spec.core,
@@ -93,14 +124,21 @@ class Plan:
             n_out=spec.n_out,
             candidates=max(TUNING.fewest_candidates, wanted),
             keeps_input=self.keeps_input,
+            moves_input=self.options.denoise,
             noise=self.noise,
             spacing=self.spacing,
             normalisation=self.normalisation,
             orient=self.orient,
-            viewpoint=self.options.viewpoint,
+            viewpoint=None if self.sights is not None else self.viewpoint,
+            sights=None if self.sights is None else self.sights[spec.rows],
             centroid=self.centroid,
             seed=self.options.seed,
             patch_ratio=self.patch_ratio,
+            is_even=self.options.is_even,
+            max_gap=self.options.max_gap and self.options.max_gap / self.normalisation.scale,
+            input=source,
+            weights=None if self.weights is None else self.weights[spec.rows],
+            usual_weight=self.usual_weight,
         )
 
 
@@ -128,26 +166,34 @@ def make_plan(
     cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
-    n_out = options.points_out(count)
-    largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
-    most = largest * count
-    if not count <= n_out <= most:
-        refuse(
-            "n_points",
-            n_out,
-            f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
-            limit=[count, most],
-        )
-    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size)
-    if noise is not None and noise > TUNING.noise_threshold and not options.keeps_points(count):
+    keeps_input = options.keeps_points(count)
+    stays = keeps_input and not options.denoise
+    source = None if patch_ratio else represent(points, keep_all=keeps_input)
+    if source is not None:
+        points = source.centres.points
+    weights = _weights(points, source, options)
+    n_out = _points_out(count, weights, normalisation.scale, options, patch_ratio)
+    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size, weights)
+    if noise is not None and noise > TUNING.noise_threshold and not stays:
         # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
     cleaned, method = _choose_signs(cleaned, options)
+    stations = _stations(cleaned, options) if method == "viewpoint" else None
+    sights = None
+    if stations is not None and len(stations) > 1:
+        sights = _sights(cleaned, points, source, normalisation, stations)
     report = {
         "points_in": len(cloud),
         "points_used": count,
         "points_out": n_out,
-        "dropped": {"non_finite": dropped.non_finite, "duplicate": dropped.duplicate},
+        "charts": len(points),
+        "stray": 0 if source is None else int(np.count_nonzero(source.stray)),
+        "on_curves": 0 if source is None else int(np.count_nonzero(source.curve)),
+        "dropped": {
+            "non_finite": dropped.non_finite,
+            "wild": dropped.wild,
+            "duplicate": dropped.duplicate,
+        },
         "patches": sum(
             spec.patches if patch_ratio is None else patch_count(spec.charted) for spec in specs
         ),
@@ -159,6 +205,8 @@ def make_plan(
     return Plan(
         cloud=cleaned,
         points=points,
+        input=source,
+        weights=weights,
         normalisation=normalisation,
         centroid=points.mean(axis=0),
         tile_specs=specs,
@@ -166,10 +214,84 @@ def make_plan(
         spacing=median_spacing,
         options=options,
         orient=method,
+        viewpoint=None if stations is None else tuple(stations[0].tolist()),
+        sights=sights,
         n_out=n_out,
         report=report,
         patch_ratio=patch_ratio,
     )
+
+
+def _weights(
+    points: NDArray[np.float64], source: InputPoints | None, options: Options
+) -> NDArray[np.float64] | None:
+    """Weights of the charts, see :class:`Plan`."""
+    if options.is_even:
+        # Squared spacings are areas up to a factor that is the same for all charts.
+        return spacing(nearest(points, SPACING_NEIGHBOURS)[0]).astype(np.float64) ** 2
+    return None if source is None else source.centres.count.astype(np.float64)
+
+
+def _points_out(
+    count: int,
+    weights: NDArray[np.float64] | None,
+    scale: float,
+    options: Options,
+    patch_ratio: int | None,
+) -> int:
+    """Number of output points.
+
+    Raises:
+        BadOptionError: ``n_points`` or ``spacing`` asks for too few or too many points.
+    """
+    largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
+    most = largest * count
+    if options.spacing is not None and weights is not None:
+        area = float(areas_of_quotas(weights, 1.0).sum())
+        wanted = area / area_of_spacing(options.spacing / scale)
+        if not FEWEST <= wanted <= most:
+            finest = spacing_of_area(area / most) * scale
+            coarsest = spacing_of_area(area / FEWEST) * scale
+            refuse(
+                "spacing",
+                options.spacing,
+                f"from {finest:.4g} to {coarsest:.4g} for this cloud: {most} to {FEWEST} points",
+                limit=[finest, coarsest],
+            )
+        return round(wanted)
+    n_out = options.points_out(count)
+    if not count <= n_out <= most:
+        refuse(
+            "n_points",
+            n_out,
+            f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
+            limit=[count, most],
+        )
+    return n_out
+
+
+def _stations(cloud: Cloud, options: Options) -> NDArray[np.float64] | None:
+    """Sensor positions ``(k, 3)`` in the cloud's own frame; those of the caller count first."""
+    if options.viewpoints:
+        return np.array(options.viewpoints, dtype=np.float64)
+    return cloud.viewpoints
+
+
+def _sights(
+    cloud: Cloud,
+    points: NDArray[np.float64],
+    source: InputPoints | None,
+    normalisation: Normalisation,
+    stations: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Directions from the charts to the stations that saw them, ``(M, 3)``."""
+    places = (stations - normalisation.offset) / normalisation.scale
+    number = station_numbers(cloud, len(stations))
+    if number is None or source is None:
+        typical = float(np.median(spacing(nearest(points, SPACING_NEIGHBOURS)[0])))
+        return directions_to_stations(points, places, number, typical)
+    each = directions_to_stations(source.points, places, number, 0.0)
+    return source.sums_of_charts(each)
 
 
 def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:
@@ -178,7 +300,7 @@ def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:
     ``auto`` means the input's normals if their signs agree, else a viewpoint if there is one.
     """
     given = cloud.normals is not None
-    viewpoint = cloud.viewpoints if options.viewpoint is None else options.viewpoint
+    viewpoint = _stations(cloud, options)
     method = resolve_method(options.orient, viewpoint, has_normals=given)
     if method != "input" or signs_agree(cloud):
         return cloud, method

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
-from pugeo_model.geometry.areas import surface_areas
+from pugeo_model.geometry.areas import areas_of_quotas, surface_areas
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.overlapping import overlapping_patches
 from pugeo_model.geometry.partition import PATCH_SIZE, partition
 from pugeo_model.geometry.patches import extract_patch
+from pugeo_model.resample.bounds import bounded_spacing
+from pugeo_model.resample.elimination import chart_radii
+from pugeo_model.resample.quotas import area_quotas, candidates_per_chart, count_quotas
 from pugeo_model.tiles import Tile
 
 __all__ = ["PreparedTile", "prepare"]
@@ -28,13 +31,16 @@ class PreparedTile:
 
     Attributes:
         tile: the tile.
-        cloud: its input points with their attributes.
+        cloud: its input points with their attributes; in the order of ``tile.input`` if charts
+            represent several points.
         order: ``(M,)`` int32, row of the tile of each point.
         core: ``(M,)`` bool, points of the tile's core.
         points: ``(M, 3)`` float64, unit scale.
         neighbours: ``(M, 32)`` int32, nearest first.
         frames: one canonical frame a point.
         area: ``(M,)`` float64, surface area of each point, unit scale squared.
+        quotas: ``(M,)`` float64, relative numbers of output points; ``None`` if all are equal.
+        candidates: candidates per chart.
         patches: inputs of the network; their cores partition the points that get charts.
         noise: of the original input, in spacings, see `noise_level`.
     """
@@ -47,6 +53,8 @@ class PreparedTile:
     neighbours: NDArray[np.int32]
     frames: Frames
     area: NDArray[np.float64]
+    quotas: NDArray[np.float64] | None
+    candidates: int
     patches: list[Any]
     noise: float
 
@@ -58,7 +66,22 @@ class PreparedTile:
     @property
     def adds_nothing(self) -> bool:
         """True if the output has no new point, only the input points with normals."""
-        return self.tile.keeps_input and self.tile.n_out == self.tile.core
+        return self.tile.keeps_input and self.tile.n_out == self.tile.kept
+
+    @property
+    def radii(self) -> NDArray[np.float64]:
+        """Packing radius ``(M,)`` of the output points around each chart."""
+        return chart_radii(self.area, self.quotas, self.core, self.tile.n_out)
+
+    @property
+    def input_points(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Input points ``(m, 3)`` that charts represent, and the chart ``(m,)`` of each."""
+        source = self.tile.input
+        if source is None or not self.tile.keeps_input:
+            return self.charted_points, np.arange(self.tile.charted, dtype=np.int32)
+        chart = np.argsort(self.order).astype(np.int32)[source.chart]
+        has_chart = chart < self.tile.charted
+        return source.points[has_chart], chart[has_chart]
 
 
 def prepare(tile: Tile) -> PreparedTile:
@@ -78,18 +101,42 @@ def prepare(tile: Tile) -> PreparedTile:
         ]
     else:
         patches = overlapping_patches(points[: tile.charted])
+    quotas = _quotas(tile, order, frames.spacing, neighbours)
+    candidates = tile.candidates
+    if quotas is not None:
+        candidates = candidates_per_chart(candidates, quotas[: tile.charted])
+    if quotas is not None and tile.is_even:
+        area = areas_of_quotas(quotas, tile.usual_weight)
+    else:
+        area = surface_areas(frames.spacing, neighbours, _typical_spacing(tile, frames))
     return PreparedTile(
         tile=tile,
-        cloud=tile.cloud.take(order),
+        cloud=tile.cloud if tile.input else tile.cloud.take(order),
         order=order,
         core=order < tile.core,
         points=points,
         neighbours=neighbours,
         frames=frames,
-        area=surface_areas(frames.spacing, neighbours, _typical_spacing(tile, frames)),
+        area=area,
+        quotas=quotas,
+        candidates=candidates,
         patches=patches,
         noise=frames.noise if tile.noisy is None else tile.noisy.noise,
     )
+
+
+def _quotas(
+    tile: Tile,
+    order: NDArray[np.int32],
+    spacing: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+) -> NDArray[np.float64] | None:
+    """Relative numbers of output points of the charts ``(M,)``; ``None`` if all are equal."""
+    if tile.weights is None:
+        return None
+    if tile.is_even:
+        return area_quotas(bounded_spacing(spacing, neighbours), tile.usual_weight)
+    return count_quotas(tile.weights[order], neighbours, tile.usual_weight)
 
 
 def _typical_spacing(tile: Tile, frames: Frames) -> float | None:

@@ -13,33 +13,41 @@ from pugeo_model.resample.atlas import (
     ProjectionQuery,
     charts_per_candidate,
 )
+from pugeo_model.resample.bounds import are_beyond, bounded_spacing
 from pugeo_model.resample.nearest_charts import nearest_charts
+from pugeo_model.resample.quotas import chosen_candidates
 from pugeo_model.resample.selection import select
+from pugeo_model.tuning import TUNING
 
 __all__ = ["input_queries", "propose", "select_survivors"]
 
 
 def input_queries(prepared: PreparedTile, atlas: Atlas) -> ProjectionQuery:
-    """Return the charted input points, each with the charts nearest to it."""
-    return _query(prepared, atlas, prepared.charted_points, _charted_rows(prepared))
+    """Return the charted points, each with the charts nearest to it."""
+    rows = np.arange(prepared.tile.charted, dtype=np.int32)
+    return _query(prepared, atlas, prepared.charted_points, rows)
 
 
 def propose(prepared: PreparedTile, atlas: Atlas) -> ProjectionQuery:
     """Return the candidates of all charts on their tangent planes: ``x + T (u, v, 0)`` (eq. 4).
 
-    The charted input points lead: their move under projection shows whether they are exact.
+    The input points lead: their move under projection shows whether they are exact.
     """
-    rows = _charted_rows(prepared)
+    inputs, owner = prepared.input_points
     if prepared.adds_nothing:
-        return _query(prepared, atlas, prepared.points[:0], rows[:0])
-    points = prepared.charted_points
+        return _query(prepared, atlas, inputs[:0], owner[:0])
+    points, count = prepared.charted_points, prepared.candidates
     candidates = (points[:, None] + atlas.candidates).reshape(-1, 3)
-    count = prepared.tile.candidates
+    proposer = np.repeat(np.arange(prepared.tile.charted, dtype=np.int32), count)
+    if prepared.quotas is not None:
+        quotas, total = prepared.quotas, float(prepared.quotas[prepared.core].sum())
+        chosen = chosen_candidates(quotas[: len(points)], total, prepared.tile.n_out, count)
+        candidates, proposer = candidates[chosen], proposer[chosen]
     return _query(
         prepared,
         atlas,
-        np.concatenate([points, candidates]),
-        np.concatenate([rows, np.repeat(rows, count)]),
+        np.concatenate([inputs, candidates]),
+        np.concatenate([owner, proposer]),
         charts=charts_per_candidate(count),
     )
 
@@ -52,36 +60,61 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
         atlas: its charts.
         projected: the points of `propose`, projected.
     """
+    inputs, input_owner = prepared.input_points
     if prepared.adds_nothing:
-        rows = np.flatnonzero(prepared.core).astype(np.int32)
-        return _query(prepared, atlas, prepared.points[rows], rows, fixed=len(rows))
+        in_core = prepared.core[input_owner]
+        fixed = 0 if prepared.tile.moves_input else int(np.count_nonzero(in_core))
+        return _query(prepared, atlas, inputs[in_core], input_owner[in_core], fixed=fixed)
     tile = prepared.tile
-    inputs = projected.take(slice(0, tile.charted))
-    candidates = projected.take(slice(tile.charted, None))
-    exact = tile.noisy is None and input_is_exact(prepared, inputs.points)
+    landed = projected.take(slice(0, len(inputs)))
+    candidates = projected.take(slice(len(inputs), None))
+    exact = _is_exact(prepared, landed)
     pinned = None
     if tile.keeps_input or exact:
-        pinned = prepared.charted_points, inputs.normals
+        pinned = inputs, landed.normals, input_owner
+    beyond = are_beyond(
+        candidates.points,
+        candidates.normals,
+        candidates.nearest,
+        prepared.points,
+        prepared.neighbours,
+        bounded_spacing(prepared.frames.spacing, prepared.neighbours),
+        tile.max_gap,
+        shadows=not (exact or tile.keeps_input or _is_averaged(prepared)),
+    )
     kept, points, owner = select(
         candidates.points,
         candidates.normals,
         candidates.error,
         candidates.nearest,
         tile.n_out,
-        prepared.area,
+        prepared.radii,
         prepared.neighbours,
         tile.seed,
         pinned,
         prepared.core,
         tile.charted,
+        prepared.quotas,
+        beyond,
         keep_all=tile.keeps_input,
     )
-    points = np.concatenate([prepared.points[kept], points])
-    return _query(prepared, atlas, points, np.concatenate([kept, owner]), fixed=len(kept))
+    points = np.concatenate([inputs[kept], points])
+    owner = np.concatenate([input_owner[kept], owner])
+    return _query(prepared, atlas, points, owner, fixed=len(kept))
 
 
-def _charted_rows(prepared: PreparedTile) -> NDArray[np.int32]:
-    return np.arange(prepared.tile.charted, dtype=np.int32)
+def _is_exact(prepared: PreparedTile, landed: Projected) -> bool:
+    """Return whether the input points lie on the surface, so that they may be output points."""
+    tile = prepared.tile
+    if tile.noisy is not None or tile.input is not None or tile.keeps_input:
+        return False
+    return input_is_exact(prepared, landed.points)
+
+
+def _is_averaged(prepared: PreparedTile) -> bool:
+    """Return whether most charts represent several points: their noise is then averaged."""
+    source = prepared.tile.input
+    return source is not None and len(prepared.points) < TUNING.averaged_share * len(source.points)
 
 
 def _query(

@@ -19,6 +19,7 @@ from pugeo_model.geometry.aabb import bounds, rows_inside
 from pugeo_model.geometry.frames import noise_level, rough_residuals
 from pugeo_model.geometry.neighbours import NEIGHBOURS, SPACING_NEIGHBOURS, knn, spacing
 from pugeo_model.geometry.partition import PATCH_SIZE, partition
+from pugeo_model.input_points import TileInput
 from pugeo_model.normalise import Normalisation
 from pugeo_model.tuning import TUNING
 
@@ -27,6 +28,8 @@ __all__ = ["NoisyInput", "Tile", "TileSpec", "plan_tiles"]
 _POINTS_OUT = 3 << 16  # output points of a core, which bound the memory of a worker
 _FEWEST, _MOST = 1 << 14, 1 << 16  # input points of a core; up to 1/4 more to save a tile
 _WHOLE = 1.5  # cores: a cloud up to this size is one tile, since margins would cost more
+_DENSER = 0.7  # times the spacing of a core: a denser neighbour bounds the margin
+_KEPT_TREES = 64
 _SPACING_SAMPLES = 512  # points of a core from which the width of its margin is estimated
 
 
@@ -70,24 +73,34 @@ class Tile:
     """Part of a cloud with all data that its upsampling needs.
 
     Attributes:
-        cloud: the input points: the core, the inner margin, the outer margin.
-        points: ``(n, 3)`` float64, in the unit scale of the whole cloud.
+        cloud: the input points: the core, the inner margin, the outer margin. If charts represent
+            several points, those are in ``input`` and this is their cloud.
+        points: ``(n, 3)`` float64 points of charts, in the unit scale of the whole cloud.
         rows: ``(n,)`` int32, rows in the cleaned cloud.
         core: number of leading points in the core; cores partition the cloud.
         charted: number of leading points that get charts.
         n_out: number of output points of the tile.
         candidates: candidates per chart.
-        keeps_input: whether the points of the core are part of the output, unchanged.
+        keeps_input: whether the points of the core are part of the output, in their order.
+        moves_input: whether these are moved onto the surface.
         noise: of the whole cloud, in spacings, see `noise_level`; ``None`` if the tile measures
             it itself: it is the whole cloud, or was denoised.
         spacing: median spacing of the whole cloud, unit scale; ``None`` if the tile is the whole.
         normalisation: map between the cloud's own frame and the unit frame.
         orient: method that gives normals their signs, never ``auto``.
-        viewpoint: ``(x, y, z)`` in the cloud's own frame and units.
+        viewpoint: ``(x, y, z)`` in the cloud's own frame and units, if there is one only.
+        sights: ``(n, 3)`` float32 directions from the charts to the stations that saw them, if
+            there are several.
         centroid: ``(3,)`` float64, of the whole cloud, unit scale.
         seed: seed of the sample.
         noisy: measurements of the original input, if ``points`` were denoised.
         patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
+        is_even: whether the output has one spacing over the whole surface.
+        max_gap: largest distance of an output point from the input, unit scale.
+        input: the input points behind the charts; ``None`` if each point has its own chart.
+        weights: ``(n,)`` float64 to which the numbers of output points of charts are
+            proportional, see `Plan`; ``None`` if all are equal.
+        usual_weight: weight of the usual chart of the whole cloud.
     """
 
     cloud: Cloud
@@ -98,19 +111,34 @@ class Tile:
     n_out: int
     candidates: int
     keeps_input: bool
+    moves_input: bool
     noise: float | None
     spacing: float | None
     normalisation: Normalisation
     orient: str
     viewpoint: tuple[float, float, float] | None
+    sights: NDArray[np.float32] | None
     centroid: NDArray[np.float64]
     seed: int
     noisy: NoisyInput | None = None
     patch_ratio: int | None = None
+    is_even: bool = False
+    max_gap: float | None = None
+    input: TileInput | None = None
+    weights: NDArray[np.float64] | None = None
+    usual_weight: float = 1.0
+
+    @property
+    def kept(self) -> int:
+        """Number of input points in the core, which lead the output if it keeps them."""
+        return self.core if self.input is None else self.input.core
 
 
 def plan_tiles(
-    points: NDArray[np.float64], n_out: int, size: int | None = None
+    points: NDArray[np.float64],
+    n_out: int,
+    size: int | None = None,
+    weights: NDArray[np.float64] | None = None,
 ) -> tuple[list[TileSpec], float | None, float | None]:
     """Divide a cloud into tiles.
 
@@ -118,6 +146,7 @@ def plan_tiles(
         points: ``(M, 3)`` float64.
         n_out: number of output points, divided among the tiles in proportion to their cores.
         size: largest number of input points in a core; by default it follows from ``n_out``.
+        weights: ``(M,)`` to which the output points of a tile are proportional, by default equal.
 
     Returns:
         The tiles, whose cores partition the cloud; noise and median spacing of the cloud, see
@@ -131,7 +160,12 @@ def plan_tiles(
         return [TileSpec(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
     cores = partition(points, size)
     margins = _margins(points, cores)
-    ends = [n_out * at // count for at in np.cumsum([0] + [len(core) for core in cores]).tolist()]
+    if weights is None:
+        sizes = np.cumsum([0] + [len(core) for core in cores])
+        ends = [n_out * at // count for at in sizes.tolist()]
+    else:
+        sums = np.cumsum([0.0] + [float(weights[core].sum()) for core in cores])
+        ends = np.rint(n_out * sums / sums[-1]).astype(np.int64).tolist()
     specs = [
         TileSpec(
             np.concatenate([core, *margin]), len(core), len(core) + len(margin[0]), stop - start
@@ -146,29 +180,70 @@ def plan_tiles(
 def _margins(
     points: NDArray[np.float64], cores: list[NDArray[np.int32]]
 ) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
-    """Rows of the inner and the outer margin of each core."""
+    """Rows of the inner and the outer margin of each core.
+
+    A margin is as wide as the spacing of the core asks for, and of a denser neighbour only as
+    deep as the spacing of that one asks for: a coarse tile would contain a dense neighbour whole.
+    """
     boxes = np.array([bounds(points, core) for core in cores])
     low, high = boxes[:, 0], boxes[:, 1]
+    trees = _Trees(points, cores)
+    spacings = [_spacing_quantile(trees[tile]) for tile in range(len(cores))]
     margins = []
-    for tile, core in enumerate(cores):
-        # These settings halve the time to build the tree and hardly slow down few queries.
-        tree = cKDTree(points[core], leafsize=32, balanced_tree=False, compact_nodes=False)
-        spacing_bound = _spacing_quantile(tree)
-        width = TUNING.margin * spacing_bound
+    for tile in range(len(cores)):
+        width = TUNING.margin * spacings[tile]
         # A box test first: points inside the widened box, of the tiles whose boxes overlap it.
         wide_low, wide_high = low[tile] - width, high[tile] + width
         overlaps = ((low <= wide_high) & (high >= wide_low)).all(axis=1)
         overlaps[tile] = False
-        inside = [np.empty(0, dtype=np.int32)]
-        inside += [
-            rows_inside(points, cores[other], wide_low, wide_high)
-            for other in np.flatnonzero(overlaps)
-        ]
-        rows = np.concatenate(inside)
-        distance, _ = tree.query(points[rows], distance_upper_bound=width)
-        inner = distance < TUNING.charted_margin * spacing_bound
-        margins.append((rows[inner], rows[~inner & np.isfinite(distance)]))
+        inner, outer = [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.int32)]
+        for other in np.flatnonzero(overlaps).tolist():
+            rows = rows_inside(points, cores[other], wide_low, wide_high)
+            found = trees[tile].query(points[rows], distance_upper_bound=width)
+            distance, nearest = np.asarray(found[0]), np.asarray(found[1])
+            near = np.isfinite(distance)
+            rows, nearest, distance = rows[near], nearest[near], distance[near]
+            charted = np.full(len(rows), TUNING.charted_margin * spacings[tile])
+            if spacings[other] < _DENSER * spacings[tile] and len(rows):
+                # Behind the first of its points that a core point meets.
+                met, where = np.unique(nearest, return_inverse=True)
+                first = np.asarray(trees[other].query(trees[tile].data[met])[0])[where]
+                deep = distance < first + TUNING.margin * spacings[other]
+                rows, distance, first = rows[deep], distance[deep], first[deep]
+                least = first + TUNING.charted_margin * spacings[other]
+                charted = np.minimum(charted[deep], least)
+            near = distance < charted
+            inner.append(rows[near])
+            outer.append(rows[~near])
+        margins.append((np.concatenate(inner), np.concatenate(outer)))
     return margins
+
+
+class _Trees:
+    """Trees of the cores, of which a few are kept: neighbours in space are mostly so in order.
+
+    Args:
+        points: ``(M, 3)``.
+        cores: rows of each core.
+    """
+
+    def __init__(self, points: NDArray[np.float64], cores: list[NDArray[np.int32]]) -> None:
+        self._points, self._cores = points, cores
+        self._made: dict[int, cKDTree] = {}
+
+    def __getitem__(self, core: int) -> cKDTree:
+        """Return the tree of a core."""
+        if core not in self._made:
+            if len(self._made) >= _KEPT_TREES:
+                del self._made[next(iter(self._made))]
+            # These settings halve the time to build the tree and hardly slow down few queries.
+            self._made[core] = cKDTree(
+                self._points[self._cores[core]],
+                leafsize=32,
+                balanced_tree=False,
+                compact_nodes=False,
+            )
+        return self._made[core]
 
 
 def _spacing_quantile(tree: cKDTree) -> float:

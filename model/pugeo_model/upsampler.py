@@ -13,7 +13,7 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.formats.meaning import from_array
 from pugeo_model.local_stages import LocalStages
 from pugeo_model.malloc import give_back_freed_memory
-from pugeo_model.options import Options
+from pugeo_model.options import Options, Position
 from pugeo_model.pipeline import run_here, upsample_tile
 from pugeo_model.plan import Plan, make_plan
 
@@ -42,9 +42,13 @@ class Upsampler:
         *,
         n_points: int | None = None,
         orient: str = "auto",
-        viewpoint: tuple[float, float, float] | None = None,
+        viewpoint: Position | tuple[Position, ...] | None = None,
         seed: int = 0,
         keep_input: bool = False,
+        density: str = "input",
+        spacing: float | None = None,
+        max_gap: float | None = None,
+        denoise: bool = False,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Result:
         """Upsample a cloud.
@@ -54,9 +58,13 @@ class Upsampler:
             ratio: output points per input point, 1..32.
             n_points: number of output points; replaces ``ratio``.
             orient: method that gives normals their signs, see :class:`Options`.
-            viewpoint: sensor position ``(x, y, z)`` in the cloud's own frame and units.
+            viewpoint: one or more sensor positions ``(x, y, z)`` in the cloud's frame and units.
             seed: each seed gives another, equally even sample.
             keep_input: begin the output with the cleaned input points, unchanged.
+            density: this and the following: see :class:`Options`.
+            spacing: mean distance of neighbouring output points; replaces ``ratio``.
+            max_gap: largest distance of an output point from the input.
+            denoise: with ratio 1, move the input points onto the surface.
             progress: called with the name of the current stage, the number of completed patches,
                 and the number of all patches.
 
@@ -65,7 +73,18 @@ class Upsampler:
         """
         if not isinstance(cloud, Cloud):
             cloud = from_array(np.asarray(cloud))
-        options = Options(ratio, n_points, orient, viewpoint, seed, keep_input)
+        options = Options(
+            ratio,
+            n_points,
+            orient,
+            viewpoint,
+            seed,
+            keep_input,
+            density,
+            spacing,
+            max_gap,
+            denoise,
+        )
         plan = make_plan(cloud, options, patch_ratio=self.model.patch_ratio)
         return self.upsample(plan, progress)
 

@@ -32,10 +32,24 @@ def upsample(
     orient: Annotated[
         str, typer.Option(help="Signs of normals: auto, input, viewpoint, mst, outward, none.")
     ] = "auto",
-    viewpoint: Annotated[str | None, typer.Option(help="Sensor position x,y,z.")] = None,
+    viewpoint: Annotated[
+        str | None, typer.Option(help="Sensor position x,y,z; several as x,y,z;x,y,z.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Each seed gives another sample.")] = 0,
     keep_input: Annotated[
         bool, typer.Option("--keep-input", help="Keep the input points unchanged, also noisy ones.")
+    ] = False,
+    density: Annotated[
+        str, typer.Option(help="input: as dense as the scan; even: one spacing everywhere.")
+    ] = "input",
+    spacing: Annotated[
+        float | None, typer.Option(help="Distance of points in the cloud's units, instead of -R.")
+    ] = None,
+    max_gap: Annotated[
+        float | None, typer.Option(help="Largest distance from the input [1.25 local spacings].")
+    ] = None,
+    denoise: Annotated[
+        bool, typer.Option("--denoise", help="With -R 1: move the input points onto the surface.")
     ] = False,
     model: Annotated[
         str | None, typer.Option(help="Released weights or a .safetensors file [standard].")
@@ -74,7 +88,18 @@ def upsample(
     some of several inputs failed.
     """
     settings = Settings(
-        _checked_options(ratio, n_points, orient, viewpoint, seed, keep_input=keep_input),
+        _checked_options(
+            ratio=ratio,
+            n_points=n_points,
+            orient=orient,
+            viewpoint=viewpoint,
+            seed=seed,
+            keep_input=keep_input,
+            density=density,
+            spacing=spacing,
+            max_gap=max_gap,
+            denoise=denoise,
+        ),
         model or "standard",
         mesh,
     )
@@ -123,7 +148,7 @@ def _run(
                 param_hint="--format",
             )
         options = dict(settings.options)
-        if options["n_points"] is not None:
+        if options["n_points"] is not None or options["spacing"] is not None:
             del options["ratio"]
         remote = Settings(options)
         service = connect(url, as_jobs=jobs)
@@ -145,32 +170,24 @@ def _run(
         yield from run_in_processes(tasks, settings, count, display.update)
 
 
-def _checked_options(
-    ratio: float,
-    n_points: int | None,
-    orient: str,
-    viewpoint: str | None,
-    seed: int,
-    *,
-    keep_input: bool,
-) -> dict[str, Any]:
+def _checked_options(*, viewpoint: str | None, **options: Any) -> dict[str, Any]:
     """Options of the run; invalid ones are an error before the work, not after it."""
     from pugeo_model.options import Options
 
-    where = None if viewpoint is None else _numbers(viewpoint)
-    Options(ratio, n_points, orient, where, seed, keep_input)
-    return {
-        "ratio": ratio, "n_points": n_points, "orient": orient, "viewpoint": where, "seed": seed,
-        "keep_input": keep_input,
-    }  # fmt: skip
+    options["viewpoint"] = None if viewpoint is None else _positions(viewpoint)
+    Options(**options)
+    return options
 
 
-def _numbers(text: str) -> tuple[float, float, float]:
+def _positions(text: str) -> tuple[tuple[float, float, float], ...]:
     try:
-        x, y, z = (float(part) for part in text.split(","))
+        rows = [[float(number) for number in part.split(",")] for part in text.split(";")]
+        return tuple((x, y, z) for x, y, z in rows)
     except ValueError:
-        raise typer.BadParameter("must be three numbers x,y,z", param_hint="--viewpoint") from None
-    return x, y, z
+        raise typer.BadParameter(
+            "must be three numbers x,y,z, or several such, separated by semicolons",
+            param_hint="--viewpoint",
+        ) from None
 
 
 def _check_combination(

@@ -7,9 +7,16 @@ from numpy.typing import NDArray
 
 from pugeo_model.tuning import TUNING
 
-__all__ = ["neighbour_mean", "surface_areas"]
+__all__ = [
+    "area_of_spacing",
+    "areas_of_quotas",
+    "neighbour_mean",
+    "spacing_of_area",
+    "surface_areas",
+]
 
 _AREA = 0.756  # area of a point of an even sample, in squared spacings (mean distance to 8)
+_NEAREST = 0.93  # mean distance to the nearest neighbour in the output, in roots of the area
 _LARGE = 1e3  # log of an area ratio beyond all that occur
 
 
@@ -41,6 +48,26 @@ def surface_areas(
     )
     areas: NDArray[np.float64] = typical_area * np.exp(np.copysign(reduced, log_ratio))
     return areas
+
+
+def area_of_spacing(spacing: float) -> float:
+    """Return the area per point of an output whose nearest neighbours are ``spacing`` apart."""
+    return (spacing / _NEAREST) ** 2
+
+
+def spacing_of_area(area: float) -> float:
+    """Return the mean distance of nearest neighbours in an output with ``area`` per point."""
+    return _NEAREST * float(np.sqrt(area))
+
+
+def areas_of_quotas(quotas: NDArray[np.float64], usual_square: float) -> NDArray[np.float64]:
+    """Return the surface areas ``(M,)`` of charts whose quotas are proportional to their areas.
+
+    Args:
+        quotas: ``(M,)``, see `area_quotas`.
+        usual_square: squared spacing of the usual chart.
+    """
+    return _AREA * usual_square * quotas
 
 
 @njit(cache=True, nogil=True)

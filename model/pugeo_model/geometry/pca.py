@@ -5,7 +5,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["cross", "principal_axes"]
+__all__ = ["cross", "diagonalise", "principal_axes"]
 
 
 @njit(cache=True, nogil=True)
@@ -33,7 +33,7 @@ def principal_axes(
     matrix[0, 1] = matrix[1, 0] = xy - x * y / total
     matrix[0, 2] = matrix[2, 0] = xz - x * z / total
     matrix[1, 2] = matrix[2, 1] = yz - y * z / total
-    _diagonalise(matrix, vectors)
+    diagonalise(matrix, vectors)
     first = second = 0
     for a in range(1, 3):
         if matrix[a, a] > matrix[first, first]:
@@ -78,7 +78,7 @@ def _second_moments(local, weights):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _diagonalise(matrix, vectors):  # type: ignore[no-untyped-def]
+def diagonalise(matrix, vectors):  # type: ignore[no-untyped-def]
     """Diagonalise a symmetric 3x3 matrix by Jacobi rotations, in place.
 
     The columns of ``vectors`` become the eigenvectors.

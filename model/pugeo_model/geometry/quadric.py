@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.tuning import TUNING
 
-__all__ = ["QUADRIC", "fit_quadric"]
+__all__ = ["QUADRIC", "fit_quadric", "solve"]
 
 QUADRIC = 6
 """Number of coefficients: ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
@@ -40,7 +40,7 @@ def fit_quadric(
     e3, e4, e5 = coefficients[3], coefficients[4], coefficients[5]
     for a in range(QUADRIC):
         gram[a, a] += _RIDGE * total / 8.0
-    _solve(gram, coefficients)
+    solve(gram, coefficients)
     squares -= e0 * coefficients[0] + e1 * coefficients[1] + e2 * coefficients[2]
     squares -= e3 * coefficients[3] + e4 * coefficients[4] + e5 * coefficients[5]
     return np.sqrt(max(squares, 0.0) / total)  # type: ignore[no-any-return]
@@ -103,7 +103,7 @@ def _gram(local, weights, axes, gram, right):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _solve(matrix, right):  # type: ignore[no-untyped-def]
+def solve(matrix, right):  # type: ignore[no-untyped-def]
     """Solve a symmetric positive definite system by Cholesky factorisation, in place."""
     for i in range(QUADRIC):
         for j in range(i + 1):

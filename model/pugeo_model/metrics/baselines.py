@@ -163,8 +163,8 @@ class _FittedStages:
     async def densify(self, prepared: PreparedTile, charts: _Charts) -> UpsampledTile:
         tile, neighbours = prepared.tile, prepared.neighbours
         count = len(prepared.points)
-        owner = np.repeat(np.arange(count, dtype=np.int32), tile.candidates)
-        pattern = np.tile(DISK_SIDE * disk(tile.candidates).astype(np.float64), (count, 1))
+        owner = np.repeat(np.arange(count, dtype=np.int32), prepared.candidates)
+        pattern = np.tile(DISK_SIDE * disk(prepared.candidates).astype(np.float64), (count, 1))
         proposed, _ = charts.lift(owner, pattern)
         candidates = charts.project(proposed, owner, neighbours)
         _, points, owner = select(
@@ -173,7 +173,7 @@ class _FittedStages:
             candidates.error,
             candidates.nearest,
             tile.n_out,
-            prepared.area,
+            prepared.radii,
             neighbours,
             seed=0,
         )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.tuning import TUNING
 
-__all__ = ["eliminate", "packing_radius"]
+__all__ = ["chart_radii", "eliminate", "packing_radius"]
 
 _BUCKET_BITS = 14  # low bits of a float32 that its bucket ignores: 512 buckets per octave
 
@@ -29,6 +29,25 @@ def packing_radius(area: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     radius: NDArray[np.float64] = np.sqrt(area * (2.0 / np.sqrt(3.0)))
     return radius
+
+
+def chart_radii(
+    area: NDArray[np.float64],
+    quotas: NDArray[np.float64] | None,
+    core: NDArray[np.bool_],
+    wanted: int,
+) -> NDArray[np.float64]:
+    """Return the packing radius of the output points around each chart, ``(M,)``.
+
+    Args:
+        area: ``(M,)`` surface area of each chart.
+        quotas: ``(M,)`` relative numbers of output points; ``None`` if all are equal.
+        core: ``(M,)`` charts of the core.
+        wanted: number of output points of the core.
+    """
+    if quotas is None:
+        return packing_radius(area * (np.count_nonzero(core) / wanted))
+    return packing_radius(area / quotas * (float(quotas[core].sum()) / wanted))
 
 
 def eliminate(

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.areas import neighbour_mean
 from pugeo_model.resample.chart_neighbours import chart_neighbours
-from pugeo_model.resample.elimination import eliminate, packing_radius
+from pugeo_model.resample.elimination import eliminate
 from pugeo_model.resample.repulsion import repel
 from pugeo_model.tuning import TUNING
 
@@ -15,6 +15,7 @@ __all__ = ["select", "spread_evenly"]
 _GRID = 2.0**20  # cells per unit of length: finer than any sample, coarser than rounding errors
 _MULTIPLIER = 0xBF58476D1CE4E5B9  # of splitmix64 (Steele, Lea and Flood 2014)
 _PINNED = -1e9  # penalty of points that must survive, far below any weight
+_UNWANTED = 1e6  # penalty of points that survive only if there are too few others
 
 
 def select(
@@ -23,12 +24,14 @@ def select(
     error: NDArray[np.float32],
     owner: NDArray[np.int32],
     wanted: int,
-    area: NDArray[np.float64],
+    radius: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     seed: int,
-    pinned: tuple[NDArray[np.float64], NDArray[np.float32]] | None = None,
+    pinned: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]] | None = None,
     core: NDArray[np.bool_] | None = None,
     charted: int | None = None,
+    quotas: NDArray[np.float64] | None = None,
+    unwanted: NDArray[np.bool_] | None = None,
     *,
     keep_all: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
@@ -40,34 +43,37 @@ def select(
         error: ``(C,)`` float32 predicted error, in spacings.
         owner: ``(C,)`` int32 nearest chart.
         wanted: number of points of the core's charts, at most the number of their candidates.
-        area: ``(M,)`` surface area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        radius: ``(M,)`` packing radius of each chart, see `chart_radii`.
         neighbours: ``(M, k)`` charts near each chart.
         seed: each seed gives another sample.
-        pinned: points ``(n, 3)`` and normals ``(n, 3)`` of the leading charts' own points, if
-            these may be selected; they are not moved.
+        pinned: input points ``(n, 3)``, their normals ``(n, 3)`` and charts ``(n,)``, if these
+            may be selected; they are not moved.
         core: ``(M,)`` charts whose points are wanted, by default all; the others are a margin
             that makes the border of the core even.
         charted: number of leading charts that have candidates, by default all.
+        quotas: ``(M,)`` relative numbers of output points of charts, by default equal.
+        unwanted: ``(C,)`` candidates that are selected only if there are too few others.
         keep_all: select all pinned points of the core.
 
     Returns:
-        Of the core: the charts whose own points are selected, ascending int32; the other points
+        Of the core: the rows of ``pinned`` that are selected, ascending int32; the other points
         ``(K, 3)`` float64; and the owner of each of these, int32.
     """
-    core = np.ones(len(area), dtype=np.bool_) if core is None else core
+    core = np.ones(len(radius), dtype=np.bool_) if core is None else core
     near = np.ascontiguousarray(neighbours[:, : TUNING.searched_charts])
-    has_chart = np.arange(len(area)) < (len(area) if charted is None else charted)
-    radius = packing_radius(area * (np.count_nonzero(core) / wanted))
+    has_chart = np.arange(len(radius)) < (len(radius) if charted is None else charted)
     limit = float(
         TUNING.usual_error * (wanted / np.count_nonzero(core)) ** TUNING.usual_error_power
     )
     limit = min(max(limit, TUNING.usual_error_least), TUNING.usual_error_most)
     penalty = _error_penalty(error.astype(np.float64), owner, near, has_chart, limit)
     penalty += TUNING.seed_penalty * _random(candidates, seed)
+    if unwanted is not None:
+        penalty[unwanted] += _UNWANTED
     pins = 0
     if pinned is not None:
         pins = len(pinned[0])
-        owner = np.concatenate([np.arange(pins, dtype=np.int32), owner])
+        owner = np.concatenate([pinned[2], owner])
         candidates = np.concatenate([pinned[0], candidates])
         normals = np.concatenate([pinned[1], normals])
         penalty = np.concatenate([np.full(pins, _PINNED if keep_all else 0.0), penalty])
@@ -75,6 +81,8 @@ def select(
     def level(alive: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Raise the weights where penalties or thin walls left too many candidates."""
         left = np.bincount(owner[alive], minlength=len(near)).astype(np.float64)
+        if quotas is not None:
+            left /= quotas
         mean = _masked_mean(left, has_chart, neighbours, TUNING.levelling_rounds)
         density = np.clip(mean / left[core].mean(), *TUNING.levelling_bounds)
         factor: NDArray[np.float64] = density[owner] ** TUNING.levelling_power
@@ -96,7 +104,7 @@ def select(
     push[:kept_pins] = 0.0  # pinned points push others and do not move
     points = _repel(points, normals[kept], owner, near, radius, push, TUNING.repulsion_rounds)
     in_core = core[owner]
-    kept_inputs = owner[:kept_pins][in_core[:kept_pins]]
+    kept_inputs = kept[:kept_pins][in_core[:kept_pins]].astype(np.int32)
     in_core[:kept_pins] = False
     return kept_inputs, points[in_core], owner[in_core]
 
@@ -105,7 +113,7 @@ def spread_evenly(
     points: NDArray[np.float64],
     normals: NDArray[np.float32],
     owner: NDArray[np.int32],
-    area: NDArray[np.float64],
+    radius: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     core: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
@@ -118,7 +126,7 @@ def spread_evenly(
         points: ``(K, 3)`` float64, of the core's charts.
         normals: ``(K, 3)`` float32, unit length.
         owner: ``(K,)`` int32 nearest chart.
-        area: ``(M,)`` surface area of each chart, see :mod:`~pugeo_model.geometry.areas`.
+        radius: ``(M,)`` packing radius of each chart, see `chart_radii`.
         neighbours: ``(M, k)`` charts near each chart.
         core: ``(M,)`` bool, charts of the core.
 
@@ -126,7 +134,6 @@ def spread_evenly(
         ``(K, 3)`` float64.
     """
     near = np.ascontiguousarray(neighbours[:, : TUNING.searched_charts])
-    radius = packing_radius(area * (np.count_nonzero(core) / len(points)))
     push = np.where(core[near].all(axis=1), radius, 0.0)[owner]
     return _repel(points, normals, owner, near, radius, push, 1)
 

@@ -153,7 +153,7 @@ def take_patches(prepared: Prepared, start: int, stop: int) -> PatchBatch:
     """Return some patches, so that only they travel to the worker that predicts them."""
     tile = prepared.tile
     assert tile is not None
-    return PatchBatch(tile.patches[start:stop], tile.tile.candidates)
+    return PatchBatch(tile.patches[start:stop], tile.candidates)
 
 
 def predict(batch: PatchBatch, model: str) -> PredictedBatch:

@@ -2,7 +2,7 @@
 """Query parameters of a request: all options with their ranges."""
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -32,6 +32,39 @@ class UpsampleQuery(BaseModel):
     n_points: Annotated[
         int | None, Field(ge=1, description="Points out, instead of R.", examples=[100000])
     ] = None
+    spacing: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            allow_inf_nan=False,
+            description="Mean distance of neighbouring points, in units of the cloud, instead of "
+            "R; means density=even.",
+            examples=[0.01],
+        ),
+    ] = None
+    density: Annotated[
+        Literal["input", "even"],
+        Field(
+            description="input: as dense as the scan is at each place; even: one spacing over the "
+            "whole surface."
+        ),
+    ] = "input"
+    max_gap: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            allow_inf_nan=False,
+            description="Largest distance of a point from the input, in units of the cloud; by "
+            "default 1.25 local spacings.",
+        ),
+    ] = None
+    denoise: Annotated[
+        bool,
+        Field(
+            description="With R=1: move the input's points onto the surface; they keep their "
+            "order and attributes."
+        ),
+    ] = False
     orient: Annotated[
         str,
         Field(
@@ -42,8 +75,9 @@ class UpsampleQuery(BaseModel):
     viewpoint: Annotated[
         str | None,
         Field(
-            max_length=200,
-            description="Position of the scanner as x,y,z in the frame of the cloud.",
+            max_length=4000,
+            description="Position of the scanner as x,y,z in the frame of the cloud; several "
+            "positions are separated by semicolons.",
             examples=["0,0,1.7"],
         ),
     ] = None
@@ -71,13 +105,14 @@ class UpsampleQuery(BaseModel):
     @classmethod
     def _three_numbers(cls, value: str | None) -> str | None:
         if value is not None:
-            _numbers(value)
+            _positions(value)
         return value
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
-        if self.R is not None and self.n_points is not None:
-            raise ValueError("give R or n_points, not both")
+        given = [name for name in ("R", "n_points", "spacing") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give {given[0]} or {given[1]}, not both")
         return self
 
     def for_model(self) -> dict[str, Any]:
@@ -86,10 +121,18 @@ class UpsampleQuery(BaseModel):
             "ratio": _DEFAULT_RATIO if self.R is None else self.R,
             "n_points": self.n_points,
             "orient": self.orient,
-            "viewpoint": None if self.viewpoint is None else _numbers(self.viewpoint),
+            "viewpoint": None if self.viewpoint is None else _positions(self.viewpoint),
             "seed": self.seed,
             "keep_input": self.keep_input,
+            "density": self.density,
+            "spacing": self.spacing,
+            "max_gap": self.max_gap,
+            "denoise": self.denoise,
         }
+
+
+def _positions(text: str) -> tuple[tuple[float, float, float], ...]:
+    return tuple(_numbers(part) for part in text.split(";"))
 
 
 def _numbers(text: str) -> tuple[float, float, float]:

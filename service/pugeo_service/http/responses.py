@@ -56,6 +56,7 @@ def run_headers(
         "Pugeo-Points-Out": str(report["points_out"]),
         "Pugeo-Dropped-Non-Finite": str(dropped["non_finite"]),
         "Pugeo-Dropped-Duplicate": str(dropped["duplicate"]),
+        "Pugeo-Dropped-Wild": str(dropped["wild"]),
         "Pugeo-Notes": _notes(report["notes"]),
         "Server-Timing": ", ".join(timing),
     }

@@ -20,6 +20,7 @@ CORS: dict[str, Any] = {
     "expose_headers": [
         "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Location",
         "Preference-Applied", "Pugeo-Dropped-Duplicate", "Pugeo-Dropped-Non-Finite",
+        "Pugeo-Dropped-Wild",
         "Pugeo-Model-Sha256", "Pugeo-Model-Version", "Pugeo-Notes", "Pugeo-Points-In",
         "Pugeo-Points-Out", "Retry-After", "Server-Timing", "X-Request-ID",
     ],

@@ -55,6 +55,7 @@ HEADERS = {
         ("Pugeo-Points-Out", "integer", "points returned"),
         ("Pugeo-Dropped-Non-Finite", "integer", "points dropped because of NaN or infinity"),
         ("Pugeo-Dropped-Duplicate", "integer", "points dropped as duplicates"),
+        ("Pugeo-Dropped-Wild", "integer", "points dropped because they are far from all others"),
         ("Pugeo-Notes", "string", "JSON array of sentences about assumptions"),
         ("Preference-Applied", "string", "wait=N if Prefer contains it"),
         ("Server-Timing", "string", "milliseconds by stage"),

@@ -52,7 +52,7 @@ def test_json(pugeo: Run, plane: Path) -> None:
     }
     assert told["crs"] is None
     assert told["work"] == {
-        "dropped": {"non_finite": 1, "duplicate": 1}, "ratio": 8.0, "points_out": 12_800,
+        "dropped": {"non_finite": 1, "wild": 0, "duplicate": 1}, "ratio": 8.0, "points_out": 12_800,
         "denoised": False, "orient": "mst", "tiles": 1, "patches": 1, "format": "ply",
     }  # fmt: skip
 

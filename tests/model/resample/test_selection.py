@@ -5,6 +5,7 @@ import pytest
 from pugeo_model.geometry.areas import surface_areas
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.metrics.clouds import evenness
+from pugeo_model.resample.elimination import chart_radii
 from pugeo_model.resample.selection import select, spread_evenly
 
 
@@ -18,7 +19,13 @@ def plane():
     offsets = rng.uniform(-0.7 / 45, 0.7 / 45, size=(2025, 6, 3)) * [1, 1, 0]
     candidates = (points[:, None] + offsets).reshape(-1, 3)
     owner = np.repeat(np.arange(2025, dtype=np.int32), 6)
-    return points, neighbours, surface_areas(spacing(distances), neighbours), candidates, owner
+    area = surface_areas(spacing(distances), neighbours)
+    return points, neighbours, area, candidates, owner
+
+
+def radii(area, wanted):
+    """Packing radii if all charts belong to the core."""
+    return chart_radii(area, None, np.ones(len(area), np.bool_), wanted)
 
 
 def up(count):
@@ -32,7 +39,7 @@ def test_penalties_do_not_change_the_density(plane):
     inaccurate = (points[owner, 0] < 0.5) & (np.arange(len(owner)) % 5 == 0)
     error = np.where(inaccurate, 0.2, 0.02).astype(np.float32)
     kept_inputs, selected, kept = select(
-        candidates, up(len(candidates)), error, owner, 7000, area, neighbours, seed=0
+        candidates, up(len(candidates)), error, owner, 7000, radii(area, 7000), neighbours, seed=0
     )
     assert len(kept_inputs) == 0
     assert len(selected) == len(kept) == 7000
@@ -51,10 +58,10 @@ def test_pinned_points(plane, keep_all):
         error,
         owner,
         7000,
-        area,
+        radii(area, 7000),
         neighbours,
         seed=0,
-        pinned=(points, up(len(points))),
+        pinned=(points, up(len(points)), np.arange(len(points), dtype=np.int32)),
         keep_all=keep_all,
     )
     assert len(kept_inputs) + len(selected) == 7000
@@ -69,12 +76,13 @@ def test_projected_points_become_even_again(plane):
     points, neighbours, area, candidates, owner = plane
     error = np.full(len(owner), 0.02, dtype=np.float32)
     core = points[:, 0] < 0.7
+    radius = chart_radii(area, None, core, 5600)
     _, selected, kept = select(
-        candidates, up(len(owner)), error, owner, 5600, area, neighbours, seed=0, core=core
+        candidates, up(len(owner)), error, owner, 5600, radius, neighbours, seed=0, core=core
     )
     noise = np.random.default_rng(0).normal(size=selected.shape, scale=0.001)
     moved = selected + noise * [1, 1, 0]
-    after = spread_evenly(moved, up(5600), kept, area, neighbours, core)
+    after = spread_evenly(moved, up(5600), kept, radius, neighbours, core)
     assert evenness(after) < 0.9 * evenness(moved)
     unchanged = (after == moved).all(axis=1)
     assert unchanged[moved[:, 0] > 0.69].mean() > 0.9

@@ -19,7 +19,7 @@ def test_everything_reaches_the_model() -> None:
     """Each option is passed to the model under its name there."""
     query = UpsampleQuery(R=2.5, orient="viewpoint", viewpoint="1,-2,3e1", seed=7)
     assert Options(**query.for_model()) == Options(
-        ratio=2.5, orient="viewpoint", viewpoint=(1.0, -2.0, 30.0), seed=7
+        ratio=2.5, orient="viewpoint", viewpoint=((1.0, -2.0, 30.0),), seed=7
     )
     assert Options(**UpsampleQuery(n_points=9).for_model()) == Options(n_points=9)
 

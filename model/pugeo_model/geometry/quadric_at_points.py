@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fits of quadrics to the nearest points of each point: noise, flatness and order of a scan."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pugeo_model.geometry.areas import neighbour_mean
+from pugeo_model.geometry.robust_quadric import (
+    FIT,
+    FOOT,
+    SPREAD_1,
+    SPREAD_2,
+    THICKNESS,
+    fit_robust_quadric,
+)
+from pugeo_model.tuning import TUNING
+
+__all__ = [
+    "QuadricsAtPoints",
+    "are_stacked",
+    "heights_over_neighbours",
+    "is_stacked",
+    "quadrics_at",
+    "ranked_neighbour",
+]
+
+_NEAREST = 24  # points of a fit
+_SPACING = 8  # nearest points whose mean distance is the spacing
+
+
+@dataclass(frozen=True, eq=False)
+class QuadricsAtPoints:
+    """Properties of the nearest points of each point.
+
+    Attributes:
+        spacing: ``(n,)`` float64 mean distance to the 8 nearest.
+        thickness: ``(n,)`` standard deviation from a quadric, in spacings.
+        flatness: ``(n,)`` second principal spread over the first: 0 on a line, 1 on a disc.
+        normal: ``(n, 3)`` of the quadric, of any sign.
+        direction: ``(n, 3)`` unit vector to the nearest point.
+        square: ``(n,)`` order of the four nearest: 1 on a square lattice, 0 on a line.
+    """
+
+    spacing: NDArray[np.float64]
+    thickness: NDArray[np.float64]
+    flatness: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    square: NDArray[np.float64]
+
+
+def quadrics_at(
+    rows: NDArray[np.intp],
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    distances: NDArray[np.float32],
+) -> QuadricsAtPoints:
+    """Fit a quadric to the nearest points of some points.
+
+    Args:
+        rows: ``(n,)`` rows of the points.
+        points: ``(M, 3)``.
+        neighbours, distances: ``(n, k)`` of the nearest, in order.
+    """
+    spacing = np.maximum(distances[:, :_SPACING].astype(np.float64).mean(axis=1), 1e-12)
+    thickness, flatness, normal, square = _fit_at(rows, points, neighbours, distances)
+    direction = points[neighbours[:, 0]] - points[rows]
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
+    return QuadricsAtPoints(spacing, thickness, flatness, normal, direction, square)
+
+
+def are_stacked(near: QuadricsAtPoints, neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which points belong to stacked frames, ``(M,)``.
+
+    The nearest points of stacked frames lie in one direction, that of the rays, and not along the
+    surface.
+
+    Args:
+        near: of all points.
+        neighbours: ``(M, k)`` rows.
+    """
+    tensor = np.einsum("ni,nj->nij", near.direction, near.direction)
+    for row in range(3):
+        for column in range(row, 3):
+            mean = neighbour_mean(tensor[:, row, column].copy(), neighbours, 1)
+            tensor[:, row, column] = tensor[:, column, row] = mean
+    values, vectors = np.linalg.eigh(tensor)
+    slope = np.abs(np.einsum("ni,ni->n", vectors[:, :, 2], near.normal))
+    typical = ranked_neighbour(slope, neighbours, neighbours.shape[1] // 2)
+    stacked: NDArray[np.bool_] = (values[:, 2] > TUNING.stacked_order) & (
+        typical > TUNING.stacked_slope
+    )
+    return stacked
+
+
+def is_stacked(near: QuadricsAtPoints, part: slice) -> bool:
+    """Return whether some points next to each other belong to stacked frames."""
+    directions = near.direction[part]
+    values, vectors = np.linalg.eigh(directions.T @ directions / len(directions))
+    slope = np.median(np.abs(near.normal[part] @ vectors[:, 2]))
+    return bool(values[2] > TUNING.stacked_order and slope > TUNING.stacked_slope)
+
+
+@njit(cache=True, nogil=True)
+def _fit_at(rows, points, neighbours, distances):  # type: ignore[no-untyped-def]
+    count = min(_NEAREST, neighbours.shape[1])
+    thickness, flatness, square = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
+    normal = np.empty((len(rows), 3))
+    local = np.empty((3, count + 1))
+    axes, work, out = np.zeros((3, 3)), np.zeros((8, 6)), np.empty(FIT)
+    weights, heights, ball = np.empty(count + 1), np.empty(count + 1), np.empty(count + 1)
+    for i in range(len(rows)):
+        own = rows[i]
+        radius = 1.3 * max(distances[i, count - 1], 1e-300)
+        for j in range(count):
+            for a in range(3):
+                local[a, j] = (points[neighbours[i, j], a] - points[own, a]) / radius
+        local[:, count] = 0.0
+        fit_robust_quadric(local, 0, 0.0, axes, work, weights, heights, ball, out)
+        spacing = 0.0
+        for j in range(_SPACING):
+            spacing += distances[i, min(j, count - 1)] / _SPACING
+        thickness[i] = out[THICKNESS] * radius / max(spacing, 1e-300)
+        flatness[i] = out[SPREAD_2] / max(out[SPREAD_1], 1e-300)
+        normal[i, 0], normal[i, 1], normal[i, 2] = out[0], out[1], out[2]
+        square[i] = _square_order(own, points, neighbours[i], axes)
+    return thickness, flatness, normal, square
+
+
+@njit(cache=True, nogil=True)
+def _square_order(own, points, near, axes):  # type: ignore[no-untyped-def]
+    """Fourfold order of the directions to the four nearest, less their twofold order.
+
+    The order is the magnitude of the mean of ``exp(4 i angle)``, as of bonds in crystals (Nelson
+    and Halperin 1979).
+    """
+    real = imaginary = along = across = 0.0
+    for j in range(4):
+        u = v = 0.0
+        for a in range(3):
+            step = points[near[j], a] - points[own, a]
+            u += axes[0, a] * step
+            v += axes[1, a] * step
+        squared = max(u * u + v * v, 1e-300)
+        u, v = (u * u - v * v) / squared, 2.0 * u * v / squared
+        along += u
+        across += v
+        real += u * u - v * v
+        imaginary += 2.0 * u * v
+    fourfold = np.sqrt(real * real + imaginary * imaginary)
+    return 0.25 * (fourfold - np.sqrt(along * along + across * across))
+
+
+@njit(cache=True, nogil=True)
+def heights_over_neighbours(rows, points, neighbours):  # type: ignore[no-untyped-def]
+    """Heights of points above robust quadrics through their nearest points.
+
+    Args:
+        rows: ``(n,)`` rows of the points.
+        points: ``(M, 3)``.
+        neighbours: ``(n, k)`` of the nearest, in order.
+
+    Returns:
+        Heights ``(n,)`` without sign, and standard deviations of the neighbours ``(n,)``, infinite
+        if these are on a line.
+    """
+    count = min(_NEAREST, neighbours.shape[1])
+    height, thickness = np.empty(len(rows)), np.empty(len(rows))
+    local = np.empty((3, count))
+    axes, work, out = np.zeros((3, 3)), np.zeros((8, 6)), np.empty(FIT)
+    weights, heights, ball = np.empty(count), np.empty(count), np.empty(count)
+    for i in range(len(rows)):
+        # The ball stands on the nearest point, so that it contains the foot of the point.
+        home = neighbours[i, 0]
+        radius = 1e-300
+        for j in range(count):
+            squared = 0.0
+            for a in range(3):
+                squared += (points[neighbours[i, j], a] - points[home, a]) ** 2
+            radius = max(radius, 1.2 * np.sqrt(squared))
+        for j in range(count):
+            for a in range(3):
+                local[a, j] = (points[neighbours[i, j], a] - points[home, a]) / radius
+        fit_robust_quadric(local, 2, 0.0, axes, work, weights, heights, ball, out)
+        over = 0.0
+        for a in range(3):
+            over += out[a] * (points[rows[i], a] - points[home, a] - out[FOOT + a] * radius)
+        height[i] = abs(over)
+        line = out[SPREAD_2] <= 0.3 * out[SPREAD_1]
+        thickness[i] = np.inf if line else out[THICKNESS] * radius
+    return height, thickness
+
+
+@njit(cache=True, nogil=True)
+def ranked_neighbour(values, neighbours, rank):  # type: ignore[no-untyped-def]
+    """Return the value of a rank (0 is the least) among each point and its neighbours.
+
+    Args:
+        values: ``(M,)`` float64.
+        neighbours: ``(M, k)`` rows.
+        rank: 0..k.
+
+    Returns:
+        ``(M,)`` float64.
+    """
+    count = neighbours.shape[1] + 1
+    some = np.empty(count)
+    out = np.empty(len(values))
+    for i in range(len(values)):
+        for j in range(count - 1):
+            some[j] = values[neighbours[i, j]]
+        some[count - 1] = values[i]
+        out[i] = np.partition(some, rank)[rank]
+    return out

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Local scale: the radius around each point within which the points are a surface.
+
+The nearest 32 points are a surface only on a clean and even scan: those of one scan line are a
+line, those of stacked frames lie on one ray, and with noise wider than the spacing they fill a
+ball. So the radius grows in steps until the points inside are spread in two directions and thin
+compared to the radius (Pauly, Keiser and Gross 2003).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pugeo_model.geometry.grid import rows_within, sort_into_grid
+from pugeo_model.geometry.neighbours import knn
+from pugeo_model.geometry.partition import partition
+from pugeo_model.geometry.quadric_at_points import are_stacked, quadrics_at, ranked_neighbour
+from pugeo_model.geometry.robust_quadric import (
+    FIT,
+    HEIGHT,
+    KEPT,
+    SPREAD_1,
+    SPREAD_2,
+    THICKNESS,
+    fit_robust_quadric,
+)
+from pugeo_model.tuning import TUNING
+
+__all__ = ["LocalScale", "measure_scale"]
+
+_REGION = 2048  # points of a region in which noise is told from detail
+_WIDE_REGION = 8192  # points of a region in which noise is about the same
+_STEP = np.sqrt(2.0)
+_LARGEST_STEPS = 64.0  # spacings up to which a surface is searched
+_LARGEST = 0.1  # of the longest side of the cloud
+_FEWEST = 12  # points needed for a fit
+_BUFFER = 4096  # points of a ball that are used at most
+_HANDED_ON = 16  # points whose median scale is handed on
+_FLAT, _THIN, _BALL = TUNING.surface_spread, TUNING.thin_sheet, TUNING.scale_ball
+
+
+@dataclass(frozen=True, eq=False)
+class LocalScale:
+    """Scale and noise around each point.
+
+    Attributes:
+        spacing: ``(M,)`` float64 spacing that charts should have: that of the points themselves
+            unless ``coarse``; unit scale.
+        radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to.
+        coarse: ``(M,)`` bool, several points are represented by one chart.
+        curve: ``(M,)`` bool, at no scale the points are a surface: a wire, one scan line.
+        noise: ``(M,)`` float64 standard deviation of the points along the normal, unit scale.
+    """
+
+    spacing: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    coarse: NDArray[np.bool_]
+    curve: NDArray[np.bool_]
+    noise: NDArray[np.float64]
+
+
+def measure_scale(
+    points: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    distances: NDArray[np.float32],
+) -> LocalScale:
+    """Measure the scale at every point.
+
+    Args:
+        points: ``(M, 3)``, longest side about 1.
+        neighbours, distances: ``(M, k)`` of the nearest points, see `nearest`.
+    """
+    near = quadrics_at(np.arange(len(points)), points, neighbours, distances)
+    noise_level = _regional_noise(points, near.thickness)
+    flatness = ranked_neighbour(near.flatness, neighbours, 16)
+    # On a lattice, and in stacked frames, a fit to few points does not show the noise.
+    lattice = ranked_neighbour(near.square, neighbours, 16) > TUNING.lattice_order
+    lattice |= are_stacked(near, neighbours)
+    lattice &= ranked_neighbour(near.thickness, neighbours, 4) > TUNING.lattice_noise
+    own = near.spacing
+    noise = np.minimum(near.thickness, 1.6 * noise_level) * own
+    noisy = (noise_level > TUNING.averaged_noise) | lattice
+    coarse = noisy | (flatness < TUNING.surface_spread)
+    spacing = own.copy()
+    curve = np.zeros(len(points), np.bool_)
+    if coarse.any():
+        found, thickness = _search(points, own, coarse)
+        _hand_on(points, noisy & (found == 0.0), found, thickness)
+        if noisy.any():
+            # A neighbourhood that is thin by chance must not remain a single noisy point.
+            usual = ranked_neighbour(ranked_neighbour(found, neighbours, 16), neighbours, 16)
+            _bound_by_region(points, noisy, usual)
+            _bound_by_region(points, noisy, thickness)
+            least = np.where(lattice, TUNING.lattice_merge, TUNING.least_merge) * own
+            found[noisy] = np.maximum(usual, least)[noisy]
+        curve = coarse & (found == 0.0)
+        coarse = coarse & (found > 1.1 * own)
+        spacing[coarse] = found[coarse]
+        noise[coarse] = thickness[coarse]
+    radius = np.maximum(TUNING.chart_ball * spacing, TUNING.least_chart_ball * own)
+    return LocalScale(spacing, radius, coarse, curve, noise)
+
+
+def _regional_noise(
+    points: NDArray[np.float64], thickness: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Thickness that nine in ten points of a region exceed, at each point, ``(M,)``.
+
+    Detail leaves residuals at some points, noise at all.
+    """
+    level = np.empty(len(points))
+    for rows in partition(points, _REGION):
+        level[rows] = np.quantile(thickness[rows], TUNING.noise_quantile)
+    return level
+
+
+def _search(
+    points: NDArray[np.float64], own: NDArray[np.float64], wanted: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spacing of charts at the wanted points, 0 if none is found, and the noise there."""
+    found, thickness = np.zeros(len(points)), np.zeros(len(points))
+    # A scale counts if the next one is a surface too: few points are often thin by chance.
+    before, before_thickness = np.zeros(len(points)), np.zeros(len(points))
+    left = np.flatnonzero(wanted)
+    size = float(np.quantile(own[left], 0.02)) * _STEP
+    while len(left) and size < _LARGEST:
+        active = left[(own[left] * _STEP <= size * 1.01) & (own[left] * _LARGEST_STEPS >= size)]
+        if len(active):
+            now, now_thickness = np.zeros(len(points)), np.zeros(len(points))
+            ball = sort_into_grid(points, _BALL * size)
+            places = sort_into_grid(points[active], size)
+            _fit_at_size(
+                points,
+                active[places.order].astype(np.int64),
+                places.keys,
+                size,
+                (ball.low, ball.size, ball.keys, ball.order),
+                now,
+                now_thickness,
+            )
+            sure = active[(now[active] > 0.0) & (before[active] > 0.0)]
+            found[sure], thickness[sure] = before[sure], before_thickness[sure]
+            before[active], before_thickness[active] = now[active], now_thickness[active]
+            left = left[found[left] == 0.0]
+        size *= _STEP
+    return found, thickness
+
+
+def _bound_by_region(
+    points: NDArray[np.float64], noisy: NDArray[np.bool_], values: NDArray[np.float64]
+) -> None:
+    """Bound values of noisy points by the small values of their region, in place.
+
+    Noise is about the same everywhere in a region. If only a large scale finds a surface, a thin
+    part of the shape was mistaken for noise.
+    """
+    for rows in partition(points, _WIDE_REGION):
+        some = rows[noisy[rows] & (values[rows] > 0.0)]
+        if len(some):
+            small = np.quantile(values[some], TUNING.region_quantile)
+            values[some] = np.minimum(values[some], TUNING.region_bound * small)
+
+
+def _hand_on(
+    points: NDArray[np.float64],
+    lacking: NDArray[np.bool_],
+    found: NDArray[np.float64],
+    thickness: NDArray[np.float64],
+) -> None:
+    """Give noisy points without a scale, where detail hides it, that of the points around."""
+    known, rows = np.flatnonzero(found > 0.0), np.flatnonzero(lacking)
+    if not len(known) or not len(rows):
+        return
+    near = known[knn(cKDTree(points[known]), points[rows], min(_HANDED_ON, len(known)))[1]]
+    found[rows] = np.median(found[near], axis=1)
+    thickness[rows] = np.median(thickness[near], axis=1)
+
+
+@njit(cache=True, nogil=True)
+def _fit_at_size(points, rows, keys, size, ball, found, thickness):  # type: ignore[no-untyped-def]
+    """Fit a quadric around the points of each cell; write the scale where they are a surface."""
+    low, radius, ball_keys, ball_order = ball
+    near = np.empty(_BUFFER, dtype=np.int32)
+    axes, work, out = np.zeros((3, 3)), np.zeros((8, 6)), np.empty(FIT)
+    start = 0
+    while start < len(rows):
+        stop = start
+        x = y = z = 0.0
+        while stop < len(rows) and keys[stop] == keys[start]:
+            x += points[rows[stop], 0]
+            y += points[rows[stop], 1]
+            z += points[rows[stop], 2]
+            stop += 1
+        x /= stop - start
+        y /= stop - start
+        z /= stop - start
+        count = rows_within(x, y, z, points, low, radius, ball_keys, ball_order, near)
+        if count >= _FEWEST:
+            local = np.empty((3, count))
+            for j in range(count):
+                local[0, j] = (points[near[j], 0] - x) / radius
+                local[1, j] = (points[near[j], 1] - y) / radius
+                local[2, j] = (points[near[j], 2] - z) / radius
+            weights, heights, flat = np.empty(count), np.empty(count), np.empty(count)
+            fit_robust_quadric(local, 1, 0.0, axes, work, weights, heights, flat, out)
+            thick = out[THICKNESS] * radius
+            surface = out[SPREAD_2] >= _FLAT * out[SPREAD_1]
+            thin = thick <= _THIN * size
+            belongs = abs(out[HEIGHT]) * radius <= 3.0 * thick + 0.1 * size
+            if surface and thin and belongs and out[KEPT] > 0.5:
+                for at in range(start, stop):
+                    found[rows[at]] = min(max(thick / _THIN, size / _STEP), size)
+                    thickness[rows[at]] = thick
+        start = stop

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signs of normals from several scanner stations: towards the stations that saw each point.
+
+If the file says which station recorded each point, that one counts. Otherwise a station sees the
+points that are nearest to it among those in the same direction (a depth buffer on a grid of
+directions).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pugeo_model.cloud import Cloud
+from pugeo_model.orient.signs import orient_along, row_dots
+from pugeo_model.tuning import TUNING
+
+__all__ = ["directions_to_stations", "orient_by_stations", "station_numbers"]
+
+_ROUNDS = 2
+_NUMBERS = ("scan", "station")  # names of scalars that hold the station of each point
+
+
+def station_numbers(cloud: Cloud, count: int) -> NDArray[np.int64] | None:
+    """Return the station that recorded each point ``(M,)``, ``None`` if the cloud does not say.
+
+    Args:
+        cloud: may have a scalar ``scan`` or ``station`` with values in ``0..count-1``.
+        count: number of stations.
+    """
+    for name in _NUMBERS:
+        values = cloud.scalars.get(name)
+        if values is None or not np.isfinite(values).all():
+            continue
+        numbers = values.astype(np.int64)
+        if (numbers == values).all() and numbers.min() >= 0 and numbers.max() < count:
+            return numbers
+    return None
+
+
+def directions_to_stations(
+    points: NDArray[np.float64],
+    stations: NDArray[np.float64],
+    station_of_point: NDArray[np.integer[Any]] | None,
+    spacing: float,
+) -> NDArray[np.float32]:
+    """Sum of the unit vectors from each point to the stations that saw it.
+
+    Args:
+        points: ``(M, 3)``.
+        stations: ``(k, 3)`` positions in the same frame.
+        station_of_point: ``(M,)`` station that recorded each point; ``None`` if unknown.
+        spacing: typical distance of neighbouring points.
+
+    Returns:
+        ``(M, 3)``; zero for a point that no station saw.
+    """
+    if station_of_point is not None:
+        offset = stations[np.clip(station_of_point, 0, len(stations) - 1)] - points
+        return _unit(offset).astype(np.float32)
+    total = np.zeros((len(points), 3))
+    for station in stations:
+        offset = station - points
+        distance = np.linalg.norm(offset, axis=1)
+        seen = _in_front(-offset, distance, spacing)
+        total[seen] += _unit(offset[seen])
+    return total.astype(np.float32)
+
+
+def orient_by_stations(
+    normals: NDArray[Any], directions: NDArray[np.float32], neighbours: NDArray[np.integer[Any]]
+) -> NDArray[Any]:
+    """Give normals the sign that most of their neighbours' stations ask for.
+
+    The vote of a neighbour is the cosine between its normal and its direction, so that grazing
+    views hardly count.
+
+    Args:
+        normals: ``(M, 3)`` float, unit length, of any sign.
+        directions: ``(M, 3)``, see `directions_to_stations`.
+        neighbours: ``(M, k)`` rows near each point.
+
+    Returns:
+        ``(M, 3)`` of the dtype of ``normals``.
+    """
+    votes = row_dots(normals, directions).astype(np.float64)
+    for _ in range(_ROUNDS):
+        # Products of two votes keep the signs of the axes consistent between neighbours.
+        cosines = np.einsum("ij,ikj->ik", normals, normals[neighbours])
+        around = (cosines * np.abs(cosines) * votes[neighbours]).sum(axis=1)
+        votes = votes + around / neighbours.shape[1]
+    return orient_along(normals, normals * votes[:, None])
+
+
+def _in_front(
+    offset: NDArray[np.float64], distance: NDArray[np.float64], spacing: float
+) -> NDArray[np.bool_]:
+    """Return which points are the first in their direction from a station, ``(M,)``."""
+    width = TUNING.visibility_width * spacing / max(float(np.median(distance)), 1e-300)
+    ray = offset / np.maximum(distance, 1e-300)[:, None]
+    # A cube map: the largest coordinate selects a face, the other two a cell of it.
+    axis = np.abs(ray).argmax(axis=1)
+    rows = np.arange(len(ray))
+    main = ray[rows, axis]
+    face = 2 * axis + (main < 0)
+    first = ray[rows, (axis + 1) % 3] / np.abs(main)
+    second = ray[rows, (axis + 2) % 3] / np.abs(main)
+    cells = max(int(2.0 / max(width, 1e-5)), 1)
+    row, column = (
+        np.minimum(((u + 1.0) * 0.5 * cells).astype(np.int64), cells - 1) for u in (first, second)
+    )
+    key = (face * cells + row) * cells + column
+    unique, inverse = np.unique(key, return_inverse=True)
+    nearest = np.full(len(unique), np.inf)
+    np.minimum.at(nearest, inverse, distance)
+    seen: NDArray[np.bool_] = distance <= nearest[inverse] + TUNING.visibility_depth * spacing
+    return seen
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: NDArray[np.float64] = vectors / np.maximum(length, 1e-300)
+    return unit
