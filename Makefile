@@ -46,7 +46,7 @@ check-page: viewer/node_modules/.installed ## fail where the built page is not w
 	@cd viewer && npm run --silent lint && npm run --silent check
 
 test-page: $(VENV)/.installed-dev viewer/node_modules/.installed ## try the page in Chromium (ARGS="-g swipe")
-	@cd viewer && npx playwright test $(ARGS)
+	@cd viewer && npm test --silent -- $(ARGS)
 
 serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
 	@$(BIN)/python -m pugeo_service $(ARGS)

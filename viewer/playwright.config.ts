@@ -2,11 +2,12 @@
 import { defineConfig } from "@playwright/test";
 
 export default defineConfig({
-  testDir: "tests",
+  projects: [{ name: "tests", testDir: "tests" }, { name: "measure", testDir: "measure" }],
   outputDir: "../out/page-tests",
   workers: 1,
   // A service on a busy machine, and a browser that draws without a graphics card.
   timeout: 240_000,
+  globalTimeout: 30 * 60_000,
   expect: { timeout: 120_000 },
   reporter: "list",
   use: {

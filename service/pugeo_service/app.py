@@ -30,7 +30,7 @@ from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Readings, Telemetry
-from pugeo_service.routes import docs, health, metrics, models, page, upsample
+from pugeo_service.routes import docs, health, metrics, models, page, preview, upsample
 from pugeo_service.routes import jobs as job_routes
 from pugeo_service.settings import Settings
 
@@ -131,7 +131,7 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, job_routes, models):
+    for module in (upsample, preview, job_routes, models):
         app.include_router(module.router, dependencies=[Depends(check_query)])
     for other in (health, docs, page):
         app.include_router(other.router)

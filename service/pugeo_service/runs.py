@@ -26,6 +26,7 @@ def make_run_request(
     answer: str,
     deadline_s: float,
     background: bool = False,
+    surface_points: int | None = None,
 ) -> RunRequest:
     """Make a run request; the other attributes of `RunRequest` come from the settings."""
     return RunRequest(
@@ -39,6 +40,7 @@ def make_run_request(
         max_output_bytes=settings.max_output_bytes,
         deadline_s=deadline_s,
         background=background,
+        surface_points=surface_points,
     )
 
 

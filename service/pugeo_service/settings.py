@@ -94,6 +94,9 @@ class Settings(BaseSettings):
     max_output_bytes: Annotated[
         int, Field(ge=1, description="maximum bytes of the points of an answer with all attributes")
     ] = 2048 * MIB
+    preview_points: Annotated[
+        int, Field(ge=8, description="maximum points that a surface preview is made of")
+    ] = 100_000
     queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
         4096
     )

@@ -38,6 +38,7 @@ def test_the_schema_tells_the_contract() -> None:
     assert ids == {
         "upsample", "list_models", "get_model", "health", "health_live", "health_ready", "metrics",
         "submit_job", "list_jobs", "get_job", "job_events", "job_result", "delete_job",
+        "preview",
     }  # fmt: skip
     upsample = schema["paths"]["/upsample"]["post"]
     in_query = {each["name"] for each in upsample["parameters"] if each["in"] == "query"}

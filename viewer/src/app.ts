@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { Api } from "./api/client";
-import type { Description } from "./api/description";
+import { type Description, suffixOf } from "./api/description";
 import { snippets } from "./api/snippets";
 import { ApiError, type Job } from "./api/types";
 import { UnreadableCloudError } from "./cloud/cloud";
@@ -19,7 +19,7 @@ import { listJobs, showFigures } from "./ui/result";
 import type { Viewer } from "./ui/viewer";
 
 const LISTED = 12;
-const SUFFIXES: Record<string, string> = { "ply-ascii": "ply" };
+const DENOISE = "denoise";
 // Formats whose results this browser draws.
 const DRAWN = new Set(["ply", "ply-ascii", "npz", "npy", "json", "xyz"]);
 
@@ -27,6 +27,7 @@ const DRAWN = new Set(["ply", "ply-ascii", "npz", "npy", "json", "xyz"]);
 export class App {
   private file: File | null = null;
   private points: number | null = null;
+  private result: Blob | null = null;
   private job: Job | null = null;
   private readonly spacing: Record<Slot, number | null> = { before: null, after: null };
   private work = new AbortController();
@@ -40,14 +41,14 @@ export class App {
   private readonly format = byId<HTMLSelectElement>("format");
 
   constructor(
-    private readonly api: Api, description: Description,
+    private readonly api: Api, private readonly description: Description,
     private readonly reader: Reader, private readonly viewer: Viewer,
   ) {
     this.keys = new KeyDialog(api, () => { void this.openFromAddress(); });
-    const onChange = (): void => { this.showCode(); };
-    this.options = new Options(description, onChange);
-    this.density = new Density(description, onChange);
-    this.format.append(...description.formats.map((name) =>
+    this.options = new Options(description, () => { this.onOptions(); });
+    this.density = new Density(description, () => { this.onDensity(); });
+    const written = description.formats.filter((format) => format.written);
+    this.format.append(...written.map(({ name }) =>
       make("option", { value: name, textContent: name.toUpperCase().replace("-", " ") })));
     this.format.onchange = () => { this.showDownload(); this.showCode(); };
     byId<HTMLFormElement>("form").onsubmit = (event) => {
@@ -55,6 +56,7 @@ export class App {
       void this.run();
     };
     byId("download").onclick = () => { void this.download(); };
+    viewer.fetchSurface = (slot, signal) => this.fetchSurface(slot, signal);
     addEventListener("hashchange", () => { void this.openFromAddress(); });
     addEventListener("keydown", (event) => {
       if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) void this.run();
@@ -194,6 +196,7 @@ export class App {
     const file = await (await this.api.fetch(`jobs/${job.id}/result`, { signal })).blob();
     const cloud = await this.reader.call("load", { slot: "after", file });
     if (this.job?.id !== job.id) return;
+    this.result = file;
     this.viewer.set("after", cloud);
     await this.measure("after");
     showFigures(job, this.spacing);
@@ -203,6 +206,17 @@ export class App {
     const spacing = await this.reader.call("spacing", { slot });
     this.spacing[slot] = spacing;
     this.viewer.setSpacing(slot, spacing);
+  }
+
+  /** Ask for the surface of a cloud; a failure is shown, and gives none. */
+  private async fetchSurface(slot: Slot, signal: AbortSignal): Promise<Blob | null> {
+    const body = slot === "before" ? this.file : this.result;
+    try {
+      return await (await this.api.fetch("preview", { method: "POST", body, signal })).blob();
+    } catch (error) {
+      this.fail(error, null);
+      return null;
+    }
   }
 
   private async cancel(): Promise<void> {
@@ -237,7 +251,7 @@ export class App {
         response = await this.api.fetch(`upsample?${query}`, { method: "POST", body: file });
       }
       const name = (file?.name ?? "cloud").replace(/\.[^.]*$/, "");
-      save(await response.blob(), `${name}-dense.${SUFFIXES[format] ?? format}`);
+      save(await response.blob(), `${name}-dense${suffixOf(this.description.formats, format)}`);
       note.textContent = "";
     } catch (error) {
       note.textContent = "";
@@ -261,13 +275,24 @@ export class App {
     return new URLSearchParams([density, ...this.options.query, ["format", format]]);
   }
 
+  /** Points are denoised without new ones: with a ratio of 1. */
+  private onOptions(): void {
+    if (this.options.get(DENOISE) === "true" && !this.density.unchanged) this.density.set({ R: 1 });
+    this.showCode();
+  }
+
+  private onDensity(): void {
+    if (!this.density.unchanged) this.options.put(DENOISE, "false");
+    this.showCode();
+  }
+
   private showCode(): void {
-    // The options call this while they are being made.
-    if ((this.options as Options | undefined) === undefined || (this.density as Density | undefined) === undefined) return;
-    const query = this.query(this.format.value || "ply");
+    const format = this.format.value || "ply";
+    const query = this.query(format);
     if (this.file === null || query === null) return;
     const keyed = this.api.key !== "";
-    this.code.show(snippets(this.file.name, query, this.api.base, keyed, this.format.value || "ply"));
+    const suffix = suffixOf(this.description.formats, format);
+    this.code.show(snippets(this.file.name, query, this.api.base, keyed, format, suffix));
   }
 
   private async listJobs(): Promise<void> {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import "./style.css";
 import { Api } from "./api/client";
-import { describe } from "./api/description";
+import { describe, type Format } from "./api/description";
 import { App } from "./app";
 import { Reader } from "./cloud/reader";
 import { byId } from "./ui/dom";
@@ -31,12 +31,19 @@ async function start(): Promise<void> {
   };
   const [description] = await Promise.all([describe(api), viewer.start()]);
   const app = new App(api, description, reader, viewer);
-  const read = "PLY, NPZ, NPY, JSON, XYZ, CSV";
-  byId("file-hint").textContent = read;
-  byId("formats").textContent = `Reads ${read}, by content.`;
+  showFormats(description.formats);
   acceptFiles(app);
   await app.openFromAddress();
+  performance.mark("pugeo-ready");
   document.documentElement.dataset.ready = "true";
+}
+
+function showFormats(formats: readonly Format[]): void {
+  const withSuffix = formats.filter(({ extensions }) => extensions.length > 0);
+  const names = withSuffix.map(({ name }) => name.toUpperCase()).join(", ");
+  byId("file-hint").textContent = names;
+  byId("formats").textContent = `Reads ${names}, by content.`;
+  byId<HTMLInputElement>("file").accept = withSuffix.flatMap(({ extensions }) => extensions).join(",");
 }
 
 function acceptFiles(app: App): void {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import { createHash } from "node:crypto";
 import { chromium } from "@playwright/test";
-import { choose, expect, run, sphere, startProxy, startService, test } from "./service";
+import { choose, expect, READY_MS, run, sphere, startProxy, startService, test } from "./service";
 
 test("behind a path prefix, with an API key", async ({ page }) => {
+  test.setTimeout(2 * READY_MS);
   const key = "pugeo_only-for-this-test";
   const entry = `tester:${createHash("sha256").update(key).digest("hex")}`;
   const service = await startService(["--workers", "1"], { PUGEO_API_KEYS: entry });

@@ -68,7 +68,28 @@ test("colours, hairs and keys change the picture", async ({ watched: page }) => 
   await expect.poll(async () => !seen.has(await picture())).toBe(true);
 });
 
-test("each format is downloaded, and the PLY is read again", async ({ watched: page }) => {
+test("surfaces of both clouds take the place of the points", async ({ watched: page }) => {
+  await page.click("[data-example='knot.ply'] >> nth=0");
+  await run(page);
+  await page.click("#surface");
+  await expect(page.locator("#rate")).toContainText("surfaces drawn");
+  const [left, right] = await lit(page);
+  expect(left).toBeGreaterThan(0.05);
+  expect(right).toBeGreaterThan(0.05);
+  await expectNoSeriousFault(page);
+  await page.click("#surface");
+  await expect(page.locator("#rate")).toContainText("36,000 points drawn");
+  await page.route("**/preview", (route) => route.fulfill({
+    status: 501, contentType: "application/problem+json",
+    json: { status: 501, title: "", code: "no_surfaces", detail: "There is no library.", request_id: "1234", retryable: false },
+  }));
+  await page.click("[data-example='block.ply'] >> nth=0");
+  await page.click("#surface");
+  await expect(page.locator("#problem-detail")).toHaveText("There is no library.");
+  await expect(page.locator("#surface")).toHaveAttribute("aria-pressed", "false");
+});
+
+test("each format is downloaded, and is read again where the page reads it", async ({ watched: page }) => {
   await page.click("[data-example='block.ply'] >> nth=0");
   await run(page);
   const formats = await page.locator("#format option").evaluateAll((all) =>
@@ -89,10 +110,25 @@ test("each format is downloaded, and the PLY is read again", async ({ watched: p
   for (const [name, bytes] of saved) {
     await choose(page, name, bytes);
     await expect(page.locator("#file-name")).toHaveText(name);
-    await expect(page.locator("#label-before")).toContainText(label);
+    const drawn = /\.(ply|npz|npy|json|xyz)$/.test(name);
+    if (drawn) await expect(page.locator("#label-before")).toContainText(label);
+    else await expect(page.locator("#waiting")).toContainText(`${name} is not drawn here.`);
     await expect(page.locator("#problem")).toBeHidden();
   }
 });
+
+const NOT_DRAWN: [string, string][] = [
+  ["scan.ptx", "2\n2\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 2 3 0.5\n1 2 4 0.5\n"],
+  ["mesh.obj", "# made by hand\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"],
+  ["mesh.stl", "solid one\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"],
+];
+for (const [name, text] of NOT_DRAWN) {
+  test(`${name} is not drawn as rows of numbers`, async ({ watched: page }) => {
+    await choose(page, name, Buffer.from(text));
+    await expect(page.locator("#waiting")).toContainText(`${name} is not drawn here.`);
+    await expect(page.locator("#run")).toBeEnabled();
+  });
+}
 
 test("a long job is cancelled, here and in the service", async ({ watched: page, service }) => {
   await choose(page, "long.xyz", sphere(60_000));
@@ -174,6 +210,52 @@ test("the same request as code", async ({ watched: page, service }) => {
   await expect(page.locator("#snippet")).toContainText('client.upsample("knot.ply", ratio=8)');
   await page.click("[data-code=shell]");
   await expect(page.locator("#snippet")).toHaveText("pugeo upsample knot.ply -R 8 -o dense.ply");
+});
+
+test("formats and options are those that the service describes", async ({ watched: page, service }) => {
+  const address = `${service.url}openapi.json`;
+  interface Named { name: string }
+  const described = (await (await fetch(address)).json()) as
+    { paths: Record<string, { post: { parameters: Named[]; requestBody: { "x-formats": unknown[] } } }> };
+  const { post } = described.paths["/jobs"];
+  const option = (name: string, schema: object): object =>
+    ({ name, in: "query", schema, description: `The service says this of ${name}.` });
+  const added = [
+    option("spacing", { anyOf: [{ type: "number" }, { type: "null" }] }),
+    option("density", { type: "string", enum: ["input", "even"], default: "input" }),
+    option("max_gap", { anyOf: [{ type: "number" }, { type: "null" }] }),
+    option("denoise", { type: "boolean", default: false }),
+    option("of_tomorrow", { type: "string", enum: ["this", "that"], default: "this" }),
+  ] as (Named & object)[];
+  const names = new Set(added.map(({ name }) => name));
+  post.parameters = [...post.parameters.filter(({ name }) => !names.has(name)), ...added];
+  post.requestBody["x-formats"].push({ name: "lidar2", extensions: [".ld2"], written: false });
+  await page.route("**/openapi.json", (route) => route.fulfill({ json: described }));
+  await page.reload();
+  await expect(page.locator("html[data-ready]")).toBeVisible();
+  for (const name of ["PLY", "LAZ", "E57", "LIDAR2"]) await expect(page.locator("#formats")).toContainText(name);
+  expect(await page.locator("#file").getAttribute("accept")).toMatch(/^\.ply,.*\.laz,.*\.ld2$/);
+  await expect(page.locator("#format option[value=lidar2]")).toHaveCount(0);
+
+  await page.click("[data-example='knot.ply'] >> nth=0");
+  await page.click("#code summary");
+  await page.click("#more summary");
+  await expect(page.locator("#options-more")).toContainText("The service says this of of_tomorrow.");
+  await page.getByLabel("Of tomorrow").selectOption("that");
+  await page.getByLabel("Spread").selectOption("even");
+  await page.getByLabel("Largest gap").fill("0.5");
+  await page.getByLabel("Denoise alone").check();
+  await expect(page.locator("#count")).toHaveText("4,000 points in, 4,000 out.");
+  const snippet = page.locator("#snippet");
+  for (const part of ["?R=1&", "denoise=true", "density=even", "max_gap=0.5", "of_tomorrow=that"]) {
+    await expect(snippet).toContainText(part);
+  }
+  await page.getByRole("radio", { name: "Spacing" }).click();
+  await expect(page.getByLabel("Denoise alone")).not.toBeChecked();
+  await page.locator("#density").fill("0.07");
+  await expect(snippet).toContainText("?spacing=0.07&");
+  await expect(snippet).not.toContainText("R=");
+  await expectNoSeriousFault(page);
 });
 
 for (const colorScheme of ["dark", "light"] as const) {

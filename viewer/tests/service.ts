@@ -11,7 +11,8 @@ import { fileURLToPath } from "node:url";
 import { expect, type Page, test as base } from "@playwright/test";
 
 const ROOT = fileURLToPath(new URL("../../", import.meta.url));
-const READY_MS = 240_000;
+/** The first start of all compiles kernels. */
+export const READY_MS = 240_000;
 
 interface Running {
   readonly url: string;

@@ -45,6 +45,8 @@ class RunRequest:
         background: no client waits on a connection, so other requests have priority.
         one_task_patches: a cloud of at most so many patches is upsampled in one task.
         worker_bytes: memory of a worker, ``None`` if it is unlimited or unknown.
+        surface_points: the answer is a mesh, reconstructed from at most so many points; ``None``:
+            it is the dense cloud.
     """
 
     model: str
@@ -59,6 +61,7 @@ class RunRequest:
     background: bool = False
     one_task_patches: int = 1
     worker_bytes: int | None = None
+    surface_points: int | None = None
 
     @staticmethod
     def estimate(size: int, format: str | None) -> int:

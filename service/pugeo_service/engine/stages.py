@@ -17,6 +17,7 @@ from pugeo_service.engine.answer_size import check_answer, check_memory
 from pugeo_service.engine.backend import quick
 from pugeo_service.engine.messages import DenseInfo, PreparedInfo, RunRequest
 from pugeo_service.engine.output_stages import describe_output, written
+from pugeo_service.engine.surface_stage import make_surface
 from pugeo_service.engine.values import (
     Batches,
     DenseTile,
@@ -61,7 +62,8 @@ def load_model(name: str) -> Any:
 def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
     """Read the bytes of a body, uint8 ``(size,)``, and plan the run.
 
-    A cloud of one tile is also prepared, and upsampled if it is small enough for one task.
+    A cloud of one tile is also prepared, and upsampled if it is small enough for one task. A
+    surface is made here.
 
     Raises:
         CloudError: the input or an option cannot be used.
@@ -86,6 +88,8 @@ def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
         size = formats.Declared(len(cloud), cloud.row_bytes)
         size.check(limits)
         check_answer(size, options, request)
+    if request.surface_points is not None:
+        return make_surface(cloud, request.surface_points, load_model(request.model), times)
     with times.measure("prepare"):
         plan = make_plan(cloud, options, patch_ratio=load_model(request.model).patch_ratio)
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, request.answer)

@@ -95,7 +95,6 @@ class UpsampleQuery(BaseModel):
     format: Annotated[
         str | None,
         Field(
-            # The page takes its list of formats from the words before the semicolon.
             description=f"{', '.join(OUTPUT_FORMATS)}; has priority over Accept. "
             "By default the format of the input where it can be written, else ply."
         ),

@@ -3,7 +3,9 @@
 
 from typing import Any
 
+from pugeo_model.formats import FORMATS
 from pugeo_service.http.body import ACCEPTED
+from pugeo_service.http.negotiation import OUTPUT_FORMATS
 
 __all__ = ["BINARY", "BODY", "HEADERS"]
 
@@ -23,10 +25,18 @@ _POINTS = {
         }
     },
 }
+# An extension of OpenAPI, since a media type tells no suffix. The page offers these files. Formats
+# that are written come first, in the order of OUTPUT_FORMATS.
+_FORMATS = [
+    {"name": name, "extensions": list(FORMATS[name].EXTENSIONS), "written": name in OUTPUT_FORMATS}
+    for name in dict.fromkeys([*OUTPUT_FORMATS, *FORMATS])
+]
 BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "description": "A point cloud; if the media type is unspecific, the content decides.",
+        "description": "A point cloud; if the media type is unspecific, the content decides. "
+        "x-formats lists all formats that are read.",
+        "x-formats": _FORMATS,
         "content": {
             "multipart/form-data": {
                 "schema": {

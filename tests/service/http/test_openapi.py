@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from pugeo_model.formats import FORMATS, WRITABLE
 from pugeo_service.app import create_app
 from pugeo_service.http.auth import is_open
 from pugeo_service.problems import MEDIA_TYPE
@@ -25,6 +26,11 @@ def document(tmp_path: Path) -> dict[str, Any]:
 def operations(document: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """Path and operation of each route."""
     return [(path, each) for path, many in document["paths"].items() for each in many.values()]
+
+
+def formats_of(document: dict[str, Any], path: str) -> list[dict[str, Any]]:
+    """Entries of x-formats, copied: the description of the body is shared by all documents."""
+    return [dict(each) for each in document["paths"][path]["post"]["requestBody"]["x-formats"]]
 
 
 def test_the_committed_document_is_this_one(root: Path) -> None:
@@ -87,6 +93,17 @@ def test_references_lead_somewhere(document: dict[str, Any]) -> None:
         found: Any = document
         for part in reference.removeprefix("#/").split("/"):
             found = found[part]
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/upsample"])
+def test_formats_are_listed(document: dict[str, Any], path: str) -> None:
+    """Each format that is read is listed with its suffixes, and marked where it is written too."""
+    listed = {each.pop("name"): each for each in formats_of(document, path)}
+    assert listed == {
+        name: {"extensions": list(module.EXTENSIONS), "written": name in WRITABLE}
+        for name, module in FORMATS.items()
+    }
+    assert next(iter(listed)) == "ply"
 
 
 def test_the_deadline_is_described(document: dict[str, Any]) -> None:

@@ -19,11 +19,19 @@ export interface Option {
   readonly fallback: string;
 }
 
+/** A file format that the running service reads. */
+export interface Format {
+  readonly name: string;
+  /** Suffixes of file names, with the dot. */
+  readonly extensions: readonly string[];
+  /** Whether it can be asked for as `format=`. */
+  readonly written: boolean;
+}
+
 /** The part of /openapi.json that the page goes by. */
 export interface Description {
   readonly options: ReadonlyMap<string, Option>;
-  /** Formats that can be asked for as `format=`. */
-  readonly formats: readonly string[];
+  readonly formats: readonly Format[];
 }
 
 interface Parameter {
@@ -36,24 +44,24 @@ interface Parameter {
 interface OpenApi {
   readonly paths: Record<string, Record<string, {
     readonly parameters?: readonly Parameter[];
-    readonly responses?: Record<string, { readonly content?: Record<string, unknown> }>;
+    readonly requestBody?: { readonly "x-formats": readonly Format[] };
   }>>;
 }
 
-/** Ask the running service for its options, formats and routes. */
+/** Ask the running service for its options and formats. */
 export async function describe(api: Api): Promise<Description> {
   const document = await api.json<OpenApi>("openapi.json");
-  const parameters = document.paths["/jobs"].post.parameters ?? [];
+  const { parameters = [], requestBody } = document.paths["/jobs"].post;
   const options = new Map(
     parameters.filter(({ in: place }) => place === "query").map((found) => [found.name, option(found)]),
   );
-  const format = options.get("format");
-  const media = document.paths["/jobs/{job_id}/result"].get.responses?.["200"].content ?? {};
   options.delete("format");
-  return {
-    options,
-    formats: format === undefined ? ["ply"] : formats(format, Object.keys(media)),
-  };
+  return { options, formats: requestBody?.["x-formats"] ?? [] };
+}
+
+/** Suffix of a file in a format, with the dot; PLY as text has that of PLY. */
+export function suffixOf(formats: readonly Format[], name: string): string {
+  return formats.find((format) => format.name === name)?.extensions[0] ?? ".ply";
 }
 
 function option({ name, description, schema }: Parameter): Option {
@@ -66,13 +74,4 @@ function option({ name, description, schema }: Parameter): Option {
     choices: schemas.flatMap((found) => found.enum ?? []),
     fallback: given === undefined || given === null ? "" : String(given),
   };
-}
-
-/** Formats are listed as choices, or named at the beginning of the description. */
-function formats({ choices, description }: Option, media: string[]): string[] {
-  if (choices.length > 0) return [...choices];
-  const [listed] = description.split(";");
-  const named = listed.split(/[\s,]+|\bor\b/).filter((word) => /^[a-z][a-z0-9-]*$/.test(word));
-  const npy = media.includes("application/x-npy") ? ["npy"] : [];
-  return [...new Set([...named, ...npy])].filter((word) => word !== "or");
 }

@@ -8,7 +8,6 @@ export interface Snippets {
 
 const PYTHON_NAMES: Record<string, string> = { R: "ratio" };
 const SHELL_NAMES: Record<string, string> = { R: "-R" };
-const SUFFIXES: Record<string, string> = { "ply-ascii": "ply" };
 
 /**
  * Write the request of this page as commands to copy.
@@ -18,12 +17,13 @@ const SUFFIXES: Record<string, string> = { "ply-ascii": "ply" };
  * @param service address of the service.
  * @param keyed whether the service asks for a key.
  * @param format of the answer.
+ * @param suffix of a file in this format, with the dot.
  */
 export function snippets(
-  file: string, query: URLSearchParams, service: URL, keyed: boolean, format: string,
+  file: string, query: URLSearchParams, service: URL, keyed: boolean, format: string, suffix: string,
 ): Snippets {
   const options = [...query].filter(([name]) => name !== "format");
-  const dense = `dense.${SUFFIXES[format] ?? format}`;
+  const dense = `dense${suffix}`;
   const address = new URL("upsample", service);
   address.search = new URLSearchParams([...options, ["format", format]]).toString();
   const key = keyed ? ` -H "Authorization: Bearer $PUGEO_API_KEY"` : "";
@@ -54,6 +54,9 @@ function quote(text: string): string {
 
 function literal(name: string, value: string): string {
   if (value === "true" || value === "false") return value === "true" ? "True" : "False";
-  if (name === "viewpoint") return `(${value.split(",").join(", ")})`;
+  if (name === "viewpoint") {
+    const places = value.split(";").map((place) => `(${place.split(",").map((part) => part.trim()).join(", ")})`);
+    return places.length === 1 ? places[0] : `[${places.join(", ")}]`;
+  }
   return value !== "" && Number.isFinite(Number(value)) ? value : JSON.stringify(value);
 }

@@ -35,6 +35,16 @@ export interface Values {
   readonly high: number;
 }
 
+/** A triangle mesh as the graphics processor takes it. */
+export interface Surface {
+  /** x, y, z of each vertex, without the origin of the clouds. */
+  readonly positions: Float32Array;
+  /** Unit vectors times 127, with a fourth byte that aligns them. */
+  readonly normals: Int8Array;
+  /** Three vertices of each face. */
+  readonly index: Uint32Array;
+}
+
 /** Calls that the worker answers, with their arguments and results. */
 export interface Calls {
   load: { args: { slot: Slot; file: Blob }; result: Drawable };
@@ -42,6 +52,7 @@ export interface Calls {
   spacing: { args: { slot: Slot }; result: number };
   scalar: { args: { slot: Slot; name: string }; result: Values };
   distance: { args: null; result: Values };
+  surface: { args: { slot: Slot; file: Blob }; result: Surface };
   count: { args: { file: Blob }; result: number | null };
 }
 

@@ -26,7 +26,7 @@ type Getter = (view: DataView, offset: number, little: boolean) => number;
 type Maker = new (count: number) => Float32Array | Float64Array | Int32Array | Uint32Array |
   Int16Array | Uint16Array | Int8Array | Uint8Array;
 
-const TYPES: Record<string, { size: number; get: Getter; make: Maker }> = {
+export const TYPES: Record<string, { size: number; get: Getter; make: Maker }> = {
   int8: { size: 1, get: (v, o) => v.getInt8(o), make: Int8Array },
   uint8: { size: 1, get: (v, o) => v.getUint8(o), make: Uint8Array },
   int16: { size: 2, get: (v, o, l) => v.getInt16(o, l), make: Int16Array },
@@ -57,7 +57,7 @@ export function readPly(bytes: Uint8Array): Columns {
     : readBinary(bytes, header, before, vertex);
 }
 
-function readHeader(bytes: Uint8Array): Header {
+export function readHeader(bytes: Uint8Array): Header {
   const head = new TextDecoder("latin1").decode(bytes.subarray(0, LONGEST_HEADER));
   const end = /^end_header[ \t]*(\r\n|\n|\r)/m.exec(head);
   if (end === null) throw new UnreadableCloudError("The header of the PLY file has no end.");
@@ -118,7 +118,7 @@ function readBinary(bytes: Uint8Array, header: Header, before: Element[], vertex
   return columns;
 }
 
-function skip(view: DataView, start: number, element: Element, little: boolean): number {
+export function skip(view: DataView, start: number, element: Element, little: boolean): number {
   let offset = start;
   for (let i = 0; i < element.count; i++) {
     for (const { type, countType } of element.properties) {

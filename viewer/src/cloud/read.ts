@@ -4,6 +4,14 @@ import { readNpy, readNpz } from "./numpy";
 import { readPly } from "./ply";
 import { readText } from "./text";
 
+// Text in which not each row of numbers is a point: PTX, with two counts and a matrix in front; STL,
+// with normals; OBJ, with faces.
+const NOT_ROWS = [
+  /^\s*\d+[ \t]*\r?\n[ \t]*\d+[ \t]*\r?\n[ \t]*\S+[ \t]+\S+[ \t]+\S+[ \t]*\r?\n/,
+  /^\s*solid\b/,
+  /^[ \t]*(v|vn|vt|f|o|g|mtllib|usemtl)[ \t]/m,
+];
+
 /** Read a file that the browser can draw; its content decides on the format, as in the service. */
 export async function readCloud(bytes: Uint8Array): Promise<Cloud> {
   const head = new TextDecoder("latin1").decode(bytes.subarray(0, 64));
@@ -12,8 +20,10 @@ export async function readCloud(bytes: Uint8Array): Promise<Cloud> {
   if (head.startsWith("NUMPY", 1)) return fromColumns(readNpy(bytes));
   if (head.startsWith("PK")) return fromColumns(await readNpz(bytes));
   if (/^(\xef\xbb\xbf)?\s*[{[]/.test(head)) return fromColumns(readJson(bytes));
+  const start = new TextDecoder("latin1").decode(bytes.subarray(0, 4096));
   // A byte that no text has: LAS, LAZ, E57 and the like.
-  if (bytes.subarray(0, 512).some((byte) => byte < 9) || head.startsWith("# .PCD")) {
+  const binary = bytes.subarray(0, 512).some((byte) => byte < 9);
+  if (binary || head.startsWith("# .PCD") || NOT_ROWS.some((rows) => rows.test(start))) {
     throw new UnreadableCloudError("This format is read by the service, and not by the browser.");
   }
   return fromColumns(readText(bytes));

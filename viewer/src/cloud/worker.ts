@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads clouds and computes their figures, beside the thread that draws.
 import { type Cloud, UnreadableCloudError } from "./cloud";
+import { readMesh } from "./mesh";
 import { type Drawable, MOST_DRAWN, type Request, type Slot, type Values } from "./messages";
 import { expectedSpacing, Grid, medianSpacing } from "./neighbours";
 import { countOf, readCloud } from "./read";
@@ -143,6 +144,10 @@ async function answer(request: Request): Promise<unknown> {
       return scalar(request.args.slot, request.args.name);
     case "distance":
       return distance();
+    case "surface": {
+      const { origin } = find(request.args.slot).cloud;
+      return readMesh(new Uint8Array(await request.args.file.arrayBuffer()), origin);
+    }
     case "count":
       return countOf(new Uint8Array(await request.args.file.slice(0, 4096).arrayBuffer()));
   }

@@ -38,9 +38,9 @@ export class Density {
     this.choose = segments(byId("density-kinds"), labels, (name) => { this.switchTo(name); });
     this.slider.oninput = () => {
       this.field.value = String(ratioAt(Number(this.slider.value) / 100));
-      this.show();
+      this.changed();
     };
-    this.field.oninput = () => { this.show(); };
+    this.field.oninput = () => { this.changed(); };
     this.show();
   }
 
@@ -57,13 +57,18 @@ export class Density {
     return value === null ? null : [KINDS[this.kind].option, String(value)];
   }
 
+  /** Whether as many points are wanted as there are. */
+  get unchanged(): boolean {
+    return this.kind === "ratio" && this.value === 1;
+  }
+
   /** Take over what a job was asked for. */
   set(options: Readonly<Record<string, unknown>>): void {
     const given = Object.entries(KINDS).find(([, { option }]) => typeof options[option] === "number");
     this.kind = given?.[0] ?? "ratio";
     this.choose(this.kind);
     this.field.value = String(given === undefined ? FALLBACK : options[given[1].option]);
-    this.show();
+    this.changed();
   }
 
   /** Points that the answer will have, as far as this is known. */
@@ -88,7 +93,12 @@ export class Density {
       this.field.value = this.points === null || expected === null ? "8" : figure(expected / this.points);
     } else if (kind === "points") this.field.value = String(Math.round(expected ?? 100_000));
     else this.field.value = this.spacing === null ? "" : figure(this.spacing / 2);
+    this.changed();
+  }
+
+  private changed(): void {
     this.show();
+    this.onChange();
   }
 
   private show(): void {
@@ -100,7 +110,6 @@ export class Density {
     if (value !== null) this.slider.value = String((100 * Math.log(value)) / Math.log(MOST_RATIO));
     this.field.setAttribute("aria-invalid", String(value === null));
     byId("count").replaceChildren(...this.sentence(value, points, expected));
-    this.onChange();
   }
 
   private sentence(value: number | null, points: number | null, expected: number | null): string[] {

@@ -11,7 +11,7 @@ interface Wording {
 
 // Options with their own control; all others of the service get one by their type.
 const DENSITY = new Set(["R", "n_points", "spacing"]);
-const MAIN = ["orient", "viewpoint", "denoise", "confidence"];
+const MAIN = ["orient", "viewpoint", "density", "denoise", "confidence"];
 const WORDS: Partial<Record<string, Wording>> = {
   orient: {
     label: "Normals point",
@@ -25,6 +25,18 @@ const WORDS: Partial<Record<string, Wording>> = {
     },
   },
   viewpoint: { label: "Scanner position", hint: "x, y, z in the coordinates of the scan." },
+  density: {
+    label: "Spread",
+    choices: {
+      input: ["as the scan", "Dense where the scan is dense, and sparse where it is sparse."],
+      even: ["evenly", "One spacing over the whole surface."],
+    },
+  },
+  denoise: {
+    label: "Denoise alone",
+    hint: "Moves the points of the scan onto the surface and adds none: the ratio becomes 1.",
+  },
+  max_gap: { label: "Largest gap" },
   seed: { label: "Seed", hint: "Another seed gives another, equally even set of points." },
   keep_input: {
     label: "Keep the input points",
@@ -60,6 +72,18 @@ export class Options {
     });
   }
 
+  /** The value of an option as text; `undefined` where the service does not list it. */
+  get(name: string): string | undefined {
+    const found = this.controls.get(name);
+    return found && read(found.control);
+  }
+
+  /** Set one option, as far as the service lists it. */
+  put(name: string, value: string): void {
+    const found = this.controls.get(name);
+    if (found !== undefined) write(found.control, value);
+  }
+
   /** Take over what a job was asked for. */
   set(options: Readonly<Record<string, string | number | boolean | null>>): void {
     for (const [name, { control, option }] of this.controls) {
@@ -67,6 +91,7 @@ export class Options {
       write(control, given === null ? option.fallback : String(given));
     }
     this.link();
+    this.onChange();
   }
 
   private get viewpointUsed(): boolean {
@@ -90,7 +115,7 @@ export class Options {
     label.append(...(check ? [control, text] : [text, control]));
     const row = make("div", { className: "option" }, label, hint);
     this.controls.set(name, { control, option, row });
-    control.oninput = () => { this.link(); };
+    control.oninput = () => { this.link(); this.onChange(); };
     return row;
   }
 
@@ -102,7 +127,6 @@ export class Options {
       const chosen = WORDS[name]?.choices?.[control.value];
       if (chosen !== undefined) byId(`option-${name}-hint`).textContent = chosen[1];
     }
-    this.onChange();
   }
 }
 

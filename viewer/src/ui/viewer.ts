@@ -20,6 +20,11 @@ export class Viewer {
   private coloring = "normals";
   /** Whether the colouring was chosen by hand. */
   private chosen = false;
+  /** Asks the service for the surface of a cloud; is told by the page. */
+  fetchSurface: (slot: Slot, signal: AbortSignal) => Promise<Blob | null> = () => Promise.resolve(null);
+  /** Whether surfaces are asked for, and those there are or will be. */
+  private surfaces = false;
+  private readonly asked: Record<Slot, AbortController | null> = { before: null, after: null };
   private up: "y" | "z" = "z";
   private readonly swipe = byId<HTMLInputElement>("swipe");
   private readonly select = byId<HTMLSelectElement>("coloring");
@@ -35,6 +40,11 @@ export class Viewer {
     const size = byId<HTMLInputElement>("size");
     size.oninput = () => { this.stage?.setPointScale(2 ** Number(size.value)); };
     press("hairs", (on) => { this.stage?.setHairs(on); });
+    press("surface", (on) => {
+      this.surfaces = on;
+      this.stage?.showSurfaces(on);
+      for (const slot of SLOTS) void this.askSurface(slot);
+    });
     press("spin", (on) => { this.stage?.setSpin(on); });
     byId("fit").onclick = () => { this.stage?.fit(); };
     byId("up").onclick = () => { this.turnUp(); };
@@ -69,6 +79,9 @@ export class Viewer {
     this.clouds[slot] = cloud;
     this.cached.clear();
     this.stage?.set(slot, cloud);
+    this.asked[slot]?.abort();
+    this.asked[slot] = null;
+    void this.askSurface(slot);
     this.arrange();
     this.offerColorings();
     void this.setColoring(this.coloring);
@@ -92,6 +105,23 @@ export class Viewer {
       style.getPropertyValue(name).trim());
     this.stage?.setTheme(background, plain, hair);
     void this.setColoring(this.coloring);
+  }
+
+  /** Ask for the surface of a cloud, once, where surfaces are to be shown. */
+  private async askSurface(slot: Slot): Promise<void> {
+    if (!this.surfaces || this.stage === null || this.clouds[slot] === null || this.asked[slot] !== null) return;
+    const asked = this.asked[slot] = new AbortController();
+    const line = byId("surface-state");
+    line.textContent = "Making surfaces …";
+    const file = await this.fetchSurface(slot, asked.signal);
+    if (this.asked[slot] !== asked) return;
+    const surface = file && await this.reader.call("surface", { slot, file });
+    if (surface === null) byId("surface").click();
+    // A new cloud, or a failure, ends what was asked for.
+    if (this.asked[slot] !== asked) return;
+    if (surface === null) this.asked[slot] = null;
+    this.stage.setSurface(slot, surface);
+    line.textContent = surface === null ? "" : `Surface of ${TITLES[slot].toLowerCase()}: ${count(surface.index.length / 3)} faces.`;
   }
 
   private arrange(): void {
@@ -231,7 +261,7 @@ export class Viewer {
 
   private showRate({ drawn, total, rate, moving }: FrameInfo): void {
     const frames = rate === null ? "" : `${Math.round(rate)} frames a second · `;
-    const points = drawn < total ? `${count(drawn)} of ${count(total)} points${moving ? " while moving" : " so far"}` : `${count(total)} points drawn`;
+    const points = total === 0 ? "surfaces drawn" : drawn < total ? `${count(drawn)} of ${count(total)} points${moving ? " while moving" : " so far"}` : `${count(total)} points drawn`;
     const line = byId("rate");
     line.textContent = frames + points;
     line.dataset.moving = String(moving);

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
-  BufferAttribute, BufferGeometry, Color, DataTexture, GLSL3, InstancedBufferAttribute,
-  InstancedBufferGeometry, LineSegments, Points, RawShaderMaterial, Scene, Vector2, Vector3,
+  BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, GLSL3, InstancedBufferAttribute,
+  InstancedBufferGeometry, LineSegments, Mesh, Points, RawShaderMaterial, Scene, Vector2, Vector3,
 } from "three"; // prettier-ignore
-import type { Drawable, Values } from "../cloud/messages";
+import type { Drawable, Surface, Values } from "../cloud/messages";
 import {
-  type Coloring, COLORINGS, HAIR_FRAGMENT, HAIR_VERTEX, POINT_FRAGMENT, POINT_VERTEX,
+  type Coloring, COLORINGS, FACE_FRAGMENT, HAIR_FRAGMENT, HAIR_VERTEX, POINT_FRAGMENT, POINT_VERTEX,
 } from "./shaders"; // prettier-ignore
 
 const MOST_HAIRS = 8_000;
@@ -22,6 +22,8 @@ export class Pane {
   private points: Points<BufferGeometry, RawShaderMaterial> | null = null;
   private hairs: LineSegments<InstancedBufferGeometry, RawShaderMaterial> | null = null;
   private hairsShown = false;
+  private surface: Mesh<BufferGeometry, RawShaderMaterial> | null = null;
+  private surfaceShown = false;
   private readonly uniforms = {
     uColor: { value: 0 as number },
     uHasNormals: { value: false },
@@ -37,6 +39,7 @@ export class Pane {
   private readonly hairUniforms = { uLength: { value: 1 }, uHair: { value: new Color() } };
   private readonly material: RawShaderMaterial;
   private readonly hairMaterial: RawShaderMaterial;
+  private readonly faceMaterial: RawShaderMaterial;
 
   constructor(ramp: DataTexture) {
     this.material = new RawShaderMaterial({
@@ -44,6 +47,16 @@ export class Pane {
       vertexShader: POINT_VERTEX,
       fragmentShader: POINT_FRAGMENT,
       uniforms: { ...this.uniforms, uRamp: { value: ramp } },
+    });
+    this.faceMaterial = new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: POINT_VERTEX,
+      fragmentShader: FACE_FRAGMENT,
+      side: DoubleSide,
+      uniforms: {
+        ...this.uniforms, uRamp: { value: ramp },
+        uColor: { value: COLORINGS.normals }, uHasNormals: { value: true }, uHasColors: { value: false },
+      },
     });
     this.hairMaterial = new RawShaderMaterial({
       glslVersion: GLSL3,
@@ -72,6 +85,33 @@ export class Pane {
     const { uniforms } = this;
     uniforms.uHasNormals.value = cloud.normals !== null;
     uniforms.uHasColors.value = cloud.colors !== null;
+  }
+
+  /** Points to draw: none where a surface is in their place. */
+  get drawn(): number {
+    return this.surface !== null && this.surfaceShown ? 0 : (this.cloud?.drawn ?? 0);
+  }
+
+  /** Keep a surface of the cloud, or none. */
+  setSurface(surface: Surface | null): void {
+    if (this.surface !== null) {
+      this.scene.remove(this.surface);
+      this.surface.geometry.dispose();
+    }
+    this.surface = null;
+    if (surface === null) return;
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(surface.positions, 3));
+    geometry.setAttribute("normal", new BufferAttribute(surface.normals, 4, true));
+    geometry.setIndex(new BufferAttribute(surface.index, 1));
+    this.surface = new Mesh(geometry, this.faceMaterial);
+    this.surface.frustumCulled = false;
+    this.scene.add(this.surface);
+  }
+
+  /** Show the surface in the place of the points, where there is one. */
+  showSurface(shown: boolean): void {
+    this.surfaceShown = shown;
   }
 
   /** Colour the points; `values` are theirs where the colouring is `value`. */
@@ -106,7 +146,9 @@ export class Pane {
 
   /** Draw these shares of the points alone, from 0 to 1; the rest of the scene with the first. */
   part(from: number, to: number): void {
-    const drawn = this.cloud?.drawn ?? 0;
+    const { drawn } = this;
+    if (this.points !== null) this.points.visible = drawn > 0;
+    if (this.surface !== null) this.surface.visible = this.surfaceShown && from === 0;
     const [start, end] = [Math.floor(from * drawn), Math.ceil(to * drawn)];
     this.points?.geometry.setDrawRange(start, end - start);
     if (this.hairs !== null) this.hairs.visible = this.hairsShown && from === 0;
@@ -137,6 +179,7 @@ export class Pane {
   }
 
   private clear(): void {
+    this.setSurface(null);
     for (const drawn of [this.points, this.hairs]) {
       if (drawn === null) continue;
       this.scene.remove(drawn);

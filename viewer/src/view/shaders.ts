@@ -74,6 +74,19 @@ void main() {
 }
 `;
 
+/** Faces of a surface preview, with the light of the points. */
+export const FACE_FRAGMENT = /* glsl */ `
+precision mediump float;
+in vec3 vColor;
+flat in vec3 vNormal;
+flat in float vRound;
+out vec4 fragment;
+
+void main() {
+  fragment = vec4(vColor, 1.0);
+}
+`;
+
 export const HAIR_VERTEX = /* glsl */ `
 precision highp float;
 uniform mat4 modelViewMatrix, projectionMatrix;

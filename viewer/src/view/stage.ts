@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Color, PerspectiveCamera, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import type { Drawable, Slot, Values } from "../cloud/messages";
+import type { Drawable, Slot, Surface, Values } from "../cloud/messages";
 import { Pacer } from "./pacer";
 import { Pane } from "./pane";
 import { rampTexture } from "./ramp";
@@ -105,6 +105,18 @@ export class Stage {
   setHairs(shown: boolean): void {
     this.hairs = shown;
     for (const pane of Object.values(this.panes)) pane.showHairs(shown, this.colors.hair);
+    this.draw();
+  }
+
+  /** Keep a surface of a cloud, or none. */
+  setSurface(slot: Slot, surface: Surface | null): void {
+    this.panes[slot].setSurface(surface);
+    this.draw();
+  }
+
+  /** Show surfaces in the place of the points, or the points. */
+  showSurfaces(shown: boolean): void {
+    for (const pane of Object.values(this.panes)) pane.showSurface(shown);
     this.draw();
   }
 
@@ -214,7 +226,7 @@ export class Stage {
     this.scheduled = false;
     const moving = performance.now() - this.lastMotion < STILL_MS;
     if (moving || this.controls.autoRotate) this.controls.update();
-    const total = this.visible().reduce((sum, slot) => sum + (this.panes[slot].cloud?.drawn ?? 0), 0);
+    const total = this.visible().reduce((sum, slot) => sum + this.panes[slot].drawn, 0);
     const budget = this.pacer.points(total);
     const from = moving ? 0 : this.painted;
     const to = total === 0 ? 1 : Math.min(1, from + budget / total);
