@@ -11,6 +11,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install -qq --constraint constraints.txt
+# Two processes, file by file in the order of tests/conftest.py; ARGS="-n 0" has one, to debug.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
@@ -25,16 +27,16 @@ demo: $(VENV)/.installed-demo ## start the service, upsample an example, draw ou
 	@$(BIN)/python examples/demo.py $(ARGS)
 
 test: $(VENV)/.installed-dev ## run the tests (ARGS="-m 'not slow and not long'": the quick ones)
-	@$(BIN)/python -m pytest -m 'not long' $(ARGS)
+	@$(BIN)/python -m pytest -m 'not long' $(PARALLEL) $(ARGS)
 
 coverage: $(VENV)/.installed-dev ## run the tests and report branch coverage, that of subprocesses included
 	@rm -rf .cache/coverage; mkdir -p .cache/coverage
-	@$(BIN)/python -m coverage run -m pytest -m 'not long' $(ARGS)
+	@$(BIN)/python -m coverage run -m pytest -m 'not long' $(PARALLEL) $(ARGS)
 	@$(BIN)/python -m coverage combine --quiet
 	@$(BIN)/python -m coverage report
 
-test-long: $(VENV)/.installed-dev ## run the tests that take minutes
-	@$(BIN)/python -m pytest -m long $(ARGS)
+test-long: $(VENV)/.installed-dev ## run the tests that take minutes, and many random examples
+	@HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -m 'long or hypothesis' $(ARGS)
 
 test-postgres: $(VENV)/.installed-dev ## run the tests of jobs on a PostgreSQL server of their own
 	@PUGEO_TEST_POSTGRES=1 $(BIN)/python -m pytest -m postgres tests/service/jobs $(ARGS)

@@ -14,7 +14,7 @@ import pytest
 from pugeo_client import Client
 from pugeo_client.errors import ConnectionFailedError
 
-READY_S = 300.0  # a first start compiles kernels
+READY_S = 200.0
 Serve = Callable[..., str]
 
 
@@ -61,7 +61,7 @@ def _ready(client: Client) -> bool:
 
 
 @pytest.fixture(scope="session")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def service(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a service that all pages share: one worker, no keys."""
     folder = tmp_path_factory.mktemp("service")
     with _serving(folder / "log", folder=folder) as address:

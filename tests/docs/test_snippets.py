@@ -150,7 +150,6 @@ def matches(found: Any, shown: Any, place: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "page",
     [

@@ -20,7 +20,7 @@ import pytest
 # Comes with Dask, without types.
 psutil: Any = importlib.import_module("psutil")
 
-_READY_S = 110.0
+_READY_S = 200.0
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,13 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
 
 
 @pytest.fixture
-def launch(tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
+def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
     """Starts a separate service: ``with launch("--workers", "1") as server``."""
     return partial(launched, tmp_path / "server.log")
 
 
 @pytest.fixture(scope="session")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+def server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """The service that most tests share; its limit of a body is 32 MiB."""
     log = tmp_path_factory.mktemp("service") / "server.log"
     with launched(log, "--max-body-bytes", str(32 << 20), "--max-points", "300000") as running:

@@ -67,7 +67,7 @@ def test_eight_times_a_real_scan(launch: Any, tmp_path: Path, scan: Callable[[],
     kept, dropped = clean(cloud)
     write(cloud, tmp_path / "scan.ply")
     # A separate service, because the shared one has limits below some scans.
-    with launch() as server, Client(server.url, timeout=580) as client:
+    with launch("--engine", "inline") as server, Client(server.url, timeout=580) as client:
         server.wait_until_ready()
         result = client.upsample(tmp_path / "scan.ply", ratio=8)
     assert result.points.shape == (8 * len(kept), 3)

@@ -181,7 +181,8 @@ def test_a_cloud_beyond_the_time_limit(launch: Callable[..., Any], tmp_path: Pat
     points = np.random.default_rng(0).normal(size=(30_000, 3)).astype(np.float32)
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     stages: list[str] = []
-    with launch("--workers", "1", "--deadline-s", "0.5") as server, Client(server.url) as client:
+    options = ("--engine", "inline", "--workers", "1", "--deadline-s", "0.5")
+    with launch(*options) as server, Client(server.url) as client:
         server.wait_until_ready()
         dense = client.upsample(
             points, 4, out=tmp_path / "d.ply", on_progress=lambda stage, *_: stages.append(stage)

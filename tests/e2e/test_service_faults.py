@@ -17,7 +17,7 @@ import pytest
 
 from pugeo_model import Cloud, formats
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.slow
 
 
 class Server(Protocol):

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 from numpy.typing import NDArray
@@ -121,7 +121,6 @@ def by_hand(points: NDArray[np.floating]) -> tuple[list[int], int, int]:
     return keep, non_finite, duplicate
 
 
-@settings(max_examples=200, deadline=None)
 @given(points=ROWS, collide=st.booleans())
 def test_agrees_with_a_set(points: NDArray[np.floating], collide: bool) -> None:
     """Result and counts are those of a Python set, even when all hashes collide."""

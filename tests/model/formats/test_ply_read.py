@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import plyfile
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pugeo_model import Cloud
@@ -302,7 +302,6 @@ def test_real_scan(root: Path) -> None:
     assert {"x", "y", "z"} | set(cloud.scalars) <= {each.name for each in vertex.properties}
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_agrees_with_plyfile(data: st.DataObject) -> None:
     """Whatever plyfile writes, our reader reads to the same numbers."""

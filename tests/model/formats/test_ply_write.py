@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import plyfile
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 
@@ -111,7 +111,6 @@ def clouds(draw: st.DrawFn) -> Cloud:
 
 
 @pytest.mark.parametrize("name", ["ply", "ply-ascii", "npz"])
-@settings(max_examples=60, deadline=None)
 @given(cloud=clouds())
 def test_round_trip(name: str, cloud: Cloud) -> None:
     """Every cloud comes back bit for bit in value and type, infinities and NaN included."""

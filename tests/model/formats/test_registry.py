@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pugeo_model import (
@@ -223,7 +223,6 @@ def test_nothing_is_dropped_silently(name: str, rich: Cloud, dump: Dump) -> None
 
 
 @pytest.mark.parametrize("name", sorted(WRITABLE))
-@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_hostile_bytes(name: str, data: st.DataObject) -> None:
     """Damaged files raise a CloudError or read as something: never another exception."""
@@ -251,7 +250,6 @@ def test_hostile_bytes(name: str, data: st.DataObject) -> None:
         assert len(result) <= 1000
 
 
-@settings(max_examples=200, deadline=None)
 @given(junk=st.binary(max_size=200), start=st.sampled_from([b"", b"ply\n", b"PK\x03\x04", b"{"]))
 def test_junk(junk: bytes, start: bytes) -> None:
     """Bytes of any kind, under any format, raise a CloudError or read as something."""

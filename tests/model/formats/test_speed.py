@@ -28,9 +28,9 @@ def million() -> Cloud:
 
 
 def seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
+    start = time.thread_time()
     call()
-    return time.perf_counter() - start
+    return time.thread_time() - start
 
 
 def test_binary_from_every_kind_of_file(million: Cloud, tmp_path: Path) -> None:

@@ -2,11 +2,12 @@
 """The Dask backend with real worker processes, without the model."""
 
 import asyncio
+import contextlib
 import gc
 import importlib
 import os
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,14 @@ from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 
-Scenario = Callable[[DaskBackend], Awaitable[None]]
+Scenario = Callable[[DaskBackend], Coroutine[Any, Any, None]]
 Play = Callable[..., None]
+Run = Callable[[Coroutine[Any, Any, None]], None]
 
 
 @pytest.fixture
 def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
-    """Run a scenario against a backend of light workers."""
+    """Run a scenario against a backend of its own, with light workers."""
     config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
     monkeypatch.setattr(dask_backend, "_CONFIG", config)
 
@@ -49,6 +51,23 @@ def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
             await scenario(backend)
 
     return lambda scenario, workers=2: asyncio.run(run(scenario, workers))
+
+
+@pytest.fixture(scope="module")
+def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
+    """Run a scenario that loses no worker against one backend of one light worker.
+
+    Its tests are the last ones of the file: a backend that stops ends the workers of all backends.
+    """
+    config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dask_backend, "_CONFIG", config)
+        backend = DaskBackend(Settings(workers=1, spool_dir=tmp_path_factory.mktemp("spool")))
+        try:
+            in_background(backend.start())
+            yield lambda scenario: in_background(scenario(backend))
+        finally:
+            in_background(backend.stop())
 
 
 def submit(
@@ -109,19 +128,6 @@ def test_results_feed_tasks(play: Play) -> None:
     play(scenario)
 
 
-def test_errors_of_a_stage_arrive(play: Play) -> None:
-    """A CloudError keeps its code and fields, also through a dependent task."""
-
-    async def scenario(backend: DaskBackend) -> None:
-        bad = submit(backend, light.refuse)
-        for handle in (bad, submit(backend, light.add, 1, bad)):
-            with pytest.raises(MalformedFileError, match="cut short") as caught:
-                await backend.wait(handle)
-            assert (caught.value.code, caught.value.fields) == ("truncated", {"expected": 7})
-
-    play(scenario)
-
-
 def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
     """A task that ends two workers fails; workers and results of other tasks are restored."""
 
@@ -172,62 +178,6 @@ def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
     play(scenario, workers=1)
 
 
-def test_nothing_is_kept_of_what_is_done(play: Play) -> None:
-    """Neither records of tasks nor bodies in logs of messages are kept."""
-
-    async def scenario(backend: DaskBackend) -> None:
-        for number in range(30):
-            handle = submit(backend, light.add, number, np.zeros(1000))
-            await backend.fetch(handle)
-            backend.release([handle])
-        gc.collect()
-        kept = gc.get_objects()
-        logs = [len(each.recent_message_log) for each in kept if type(each) is BatchedSend]
-        assert 0 < max(logs) <= 10
-        assert not [each for each in kept if type(each) is Span]
-
-    play(scenario)
-
-
-def test_priority_decides(play: Play, tmp_path: Path) -> None:
-    """A task submitted later with a higher priority runs earlier."""
-    log = tmp_path / "log"
-
-    async def scenario(backend: DaskBackend) -> None:
-        gate = str(tmp_path / "gate")
-        first = submit(backend, light.hold, gate, str(log), "first")
-        await until(log.exists)
-        await until_quick(backend)
-        large = [submit(backend, light.log, str(log), "large", priority=-100) for _ in range(8)]
-        small = submit(backend, light.log, str(log), "small", priority=-1)
-        await until(lambda: known(backend, [small, *large]) == 9)
-        # Messages to the worker are ordered, so it knows all tasks when it opens the gate.
-        await backend.wait(submit(backend, light.open_gate, gate))
-        for handle in [first, small, *large]:
-            await backend.wait(handle)
-        assert log.read_text().split() == ["first", "small", *["large"] * 8]
-
-    play(scenario, workers=1)
-
-
-def test_quick_stages_do_not_wait(play: Play, tmp_path: Path) -> None:
-    """A quick stage runs beside one that computes; stages that compute run one at a time."""
-    log = tmp_path / "log"
-
-    async def scenario(backend: DaskBackend) -> None:
-        gate = tmp_path / "gate"
-        held = [
-            submit(backend, light.hold, str(gate), str(log), name) for name in ("first", "second")
-        ]
-        await until(lambda: log.exists() and log.read_text() == "first\n")
-        await until_quick(backend)
-        assert log.read_text().split() == ["first"]
-        gate.touch()
-        assert [await backend.fetch(each) for each in held] == ["first", "second"]
-
-    play(scenario, workers=1)
-
-
 def test_a_worker_without_a_core_does_not_count(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -241,28 +191,6 @@ def test_a_worker_without_a_core_does_not_count(
     play(scenario, workers=1)
 
 
-def test_cancelled_tasks_do_not_begin(play: Play, tmp_path: Path) -> None:
-    """Cancelled tasks that have not begun leave the queue."""
-    log = tmp_path / "log"
-
-    async def scenario(backend: DaskBackend) -> None:
-        gate = str(tmp_path / "gate")
-        first = submit(backend, light.hold, gate, str(log), "first")
-        await until(log.exists)
-        await until_quick(backend)
-        handles = [submit(backend, light.log, str(log), str(n)) for n in range(10)]
-        await until(lambda: known(backend, handles) == 10)
-        backend.cancel(handles)
-        await until(lambda: known(backend, handles) == 0)
-        # Messages to the worker are ordered, so it has dropped the tasks when it opens the gate.
-        await backend.wait(submit(backend, light.open_gate, gate))
-        await backend.wait(first)
-        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
-        assert log.read_text().split() == ["first"]
-
-    play(scenario, workers=1)
-
-
 def test_a_closed_nanny_is_replaced(play: Play) -> None:
     """A worker whose nanny has closed, as after a failed restart, is replaced."""
 
@@ -271,31 +199,6 @@ def test_a_closed_nanny_is_replaced(play: Play) -> None:
         await next(iter(backend._cluster.workers.values())).close()
         await warm(backend, 1)
         assert await backend.fetch(submit(backend, light.pid)) != first
-
-    play(scenario, workers=1)
-
-
-def test_nothing_else_listens(play: Play) -> None:
-    """Every port of the cluster is on the loopback interface; its web server has no page."""
-    psutil: Any = importlib.import_module("psutil")
-
-    async def scenario(backend: DaskBackend) -> None:
-        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
-        ports = [
-            connection.laddr
-            for process in processes
-            for connection in process.net_connections("inet")
-            if connection.status == psutil.CONN_LISTEN
-        ]
-        assert ports
-        assert {address.ip for address in ports} == {"127.0.0.1"}
-        assert backend._cluster.scheduler.http_application.find_handler is not None
-        web = backend._cluster.scheduler.http_server.port
-        reader, writer = await asyncio.open_connection("127.0.0.1", web)
-        writer.write(b"GET /info/main/workers.html HTTP/1.0\r\n\r\n")
-        assert b"404" in await reader.readline()
-        writer.close()
-        await writer.wait_closed()
 
     play(scenario, workers=1)
 
@@ -325,6 +228,7 @@ def test_a_stopped_worker_is_replaced(play: Play, tmp_path: Path) -> None:
     play(scenario, workers=2)
 
 
+@pytest.mark.filterwarnings("ignore:unclosed cluster:ResourceWarning")
 def test_a_lost_scheduler_is_told_at_once(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a connection to the scheduler no worker counts, before the next look."""
     monkeypatch.setattr(dask_backend, "_CLOSE_S", 1.0)
@@ -337,8 +241,10 @@ def test_a_lost_scheduler_is_told_at_once(play: Play, monkeypatch: pytest.Monkey
         await until(lambda: backend.warm_workers == 0, 5.0)
 
     play(scenario, workers=1)
+    gc.collect()  # the cluster, which may not close without its scheduler
 
 
+@pytest.mark.filterwarnings("ignore:unclosed cluster:ResourceWarning")
 def test_a_worker_that_is_stopped_while_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -352,14 +258,19 @@ def test_a_worker_that_is_stopped_while_it_starts(
         except psutil.NoSuchProcess:
             return False
 
+    def is_worker(process: Any) -> bool:
+        try:
+            return "spawn_main" in " ".join(process.cmdline())
+        except psutil.Error:  # it has ended, or is a zombie
+            return False
+
     async def run() -> None:
         backend = DaskBackend(Settings(workers=1, spool_dir=tmp_path))
         starting = asyncio.create_task(backend.start())
         children: list[Any] = []
 
         def born() -> bool:
-            found = psutil.Process().children(recursive=True)
-            children[:] = [each for each in found if "spawn_main" in " ".join(each.cmdline())]
+            children[:] = filter(is_worker, psutil.Process().children(recursive=True))
             return bool(children)
 
         await until(born)
@@ -370,3 +281,119 @@ def test_a_worker_that_is_stopped_while_it_starts(
         await until(lambda: not any(map(runs, children)))
 
     asyncio.run(run())
+    gc.collect()  # the cluster, which did not come up
+
+
+def test_errors_of_a_stage_arrive(play_shared: Play) -> None:
+    """A CloudError keeps its code and fields, also through a dependent task."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        bad = submit(backend, light.refuse)
+        for handle in (bad, submit(backend, light.add, 1, bad)):
+            with pytest.raises(MalformedFileError, match="cut short") as caught:
+                await backend.wait(handle)
+            assert (caught.value.code, caught.value.fields) == ("truncated", {"expected": 7})
+
+    play_shared(scenario)
+
+
+def test_nothing_is_kept_of_what_is_done(play_shared: Play) -> None:
+    """Neither records of tasks nor bodies in logs of messages are kept."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        for number in range(30):
+            handle = submit(backend, light.add, number, np.zeros(1000))
+            await backend.fetch(handle)
+            backend.release([handle])
+        gc.collect()
+        kept = gc.get_objects()
+        logs = [len(each.recent_message_log) for each in kept if type(each) is BatchedSend]
+        assert 0 < max(logs) <= 10
+        assert not [each for each in kept if type(each) is Span]
+
+    play_shared(scenario)
+
+
+def test_priority_decides(play_shared: Play, tmp_path: Path) -> None:
+    """A task submitted later with a higher priority runs earlier."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        gate = str(tmp_path / "gate")
+        first = submit(backend, light.hold, gate, str(log), "first")
+        await until(log.exists)
+        await until_quick(backend)
+        large = [submit(backend, light.log, str(log), "large", priority=-100) for _ in range(8)]
+        small = submit(backend, light.log, str(log), "small", priority=-1)
+        await until(lambda: known(backend, [small, *large]) == 9)
+        # Messages to the worker are ordered, so it knows all tasks when it opens the gate.
+        await backend.wait(submit(backend, light.open_gate, gate))
+        for handle in [first, small, *large]:
+            await backend.wait(handle)
+        assert log.read_text().split() == ["first", "small", *["large"] * 8]
+
+    play_shared(scenario)
+
+
+def test_quick_stages_do_not_wait(play_shared: Play, tmp_path: Path) -> None:
+    """A quick stage runs beside one that computes; stages that compute run one at a time."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        gate = tmp_path / "gate"
+        held = [
+            submit(backend, light.hold, str(gate), str(log), name) for name in ("first", "second")
+        ]
+        await until(lambda: log.exists() and log.read_text() == "first\n")
+        await until_quick(backend)
+        assert log.read_text().split() == ["first"]
+        gate.touch()
+        assert [await backend.fetch(each) for each in held] == ["first", "second"]
+
+    play_shared(scenario)
+
+
+def test_cancelled_tasks_do_not_begin(play_shared: Play, tmp_path: Path) -> None:
+    """Cancelled tasks that have not begun leave the queue."""
+    log = tmp_path / "log"
+
+    async def scenario(backend: DaskBackend) -> None:
+        gate = str(tmp_path / "gate")
+        first = submit(backend, light.hold, gate, str(log), "first")
+        await until(log.exists)
+        await until_quick(backend)
+        handles = [submit(backend, light.log, str(log), str(n)) for n in range(10)]
+        await until(lambda: known(backend, handles) == 10)
+        backend.cancel(handles)
+        await until(lambda: known(backend, handles) == 0)
+        # Messages to the worker are ordered, so it has dropped the tasks when it opens the gate.
+        await backend.wait(submit(backend, light.open_gate, gate))
+        await backend.wait(first)
+        assert await backend.fetch(submit(backend, light.add, 1, 1)) == 2
+        assert log.read_text().split() == ["first"]
+
+    play_shared(scenario)
+
+
+def test_nothing_else_listens(play_shared: Play) -> None:
+    """Every port of the cluster is on the loopback interface; its web server has no page."""
+    psutil: Any = importlib.import_module("psutil")
+
+    async def scenario(backend: DaskBackend) -> None:
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        ports = []
+        for process in processes:
+            with contextlib.suppress(psutil.NoSuchProcess):  # one of an earlier test that ends
+                found = process.net_connections("inet")
+                ports += [each.laddr for each in found if each.status == psutil.CONN_LISTEN]
+        assert ports
+        assert {address.ip for address in ports} == {"127.0.0.1"}
+        assert backend._cluster.scheduler.http_application.find_handler is not None
+        web = backend._cluster.scheduler.http_server.port
+        reader, writer = await asyncio.open_connection("127.0.0.1", web)
+        writer.write(b"GET /info/main/workers.html HTTP/1.0\r\n\r\n")
+        assert b"404" in await reader.readline()
+        writer.close()
+        await writer.wait_closed()
+
+    play_shared(scenario)
