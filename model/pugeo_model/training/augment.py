@@ -24,7 +24,9 @@ class Mix:
         ramp: density that falls to a quarter across the shape.
         cut: shape cut off by a plane.
         lines: scan lines, two to four times as dense along a line as across.
-        noise: largest standard deviation of the noise, in spacings.
+        sensors: scans of virtual sensors, see :mod:`~pugeo_model.training.sensors`.
+        dense: many random points with noise of up to two spacings.
+        noise: largest standard deviation of the noise of even input, in spacings.
     """
 
     noisy: float = 0.30
@@ -32,6 +34,8 @@ class Mix:
     ramp: float = 0.03
     cut: float = 0.03
     lines: float = 0.04
+    sensors: float = 0.0
+    dense: float = 0.0
     noise: float = 0.5
 
 

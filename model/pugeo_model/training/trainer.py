@@ -72,6 +72,11 @@ class Recipe:
             del raw["patches"]
         else:
             del raw["mix"], raw["weights"]
+            return raw
+        for kind in ("sensors", "dense"):
+            # Weights that were trained before there were sensors have no such numbers.
+            if not raw["mix"][kind]:
+                del raw["mix"][kind]
         return raw
 
 
