@@ -22,6 +22,8 @@ from pugeo_model.tiles import Tile
 
 __all__ = ["PreparedTile", "prepare"]
 
+_MOST_CANDIDATES = 4  # of all charts, in output points
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedTile:
@@ -104,7 +106,9 @@ def prepare(tile: Tile) -> PreparedTile:
     quotas = _quotas(tile, order, frames.spacing, neighbours)
     candidates = tile.candidates
     if quotas is not None:
-        candidates = candidates_per_chart(candidates, quotas[: tile.charted])
+        # Bounded, since few charts with large quotas would need much memory.
+        most = max(candidates, _MOST_CANDIDATES * tile.n_out // tile.charted)
+        candidates = min(candidates_per_chart(candidates, quotas[: tile.charted]), most)
     if quotas is not None and tile.is_even:
         area = areas_of_quotas(quotas, tile.usual_weight)
     else:

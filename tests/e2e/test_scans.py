@@ -75,6 +75,7 @@ def test_eight_times_a_real_scan(launch: Any, tmp_path: Path, scan: Callable[[],
     assert result.meta.dropped == {
         "non_finite": dropped.non_finite,
         "duplicate": dropped.duplicate,
+        "wild": dropped.wild,
     }
     assert np.isfinite(result.points).all()
     assert result.normals is not None

@@ -78,7 +78,7 @@ def test_a_file_becomes_a_denser_file(ask: Ask, root: Path, tmp_path: Path) -> N
     assert out.read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
     meta = dense.meta
     assert (meta.points_in, meta.points_out) == (2500, 10_000)
-    assert meta.dropped == {"non_finite": 0, "duplicate": 0}
+    assert meta.dropped == {"non_finite": 0, "duplicate": 0, "wild": 0}
     assert len(meta.model_sha256) == 64
     assert meta.request_id
     assert sum(meta.timings.values()) > 0

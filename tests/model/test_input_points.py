@@ -137,6 +137,14 @@ def test_both_sides_of_a_noisy_wall_stay_apart() -> None:
     assert middle.mean() < 0.08
 
 
+def test_points_that_fill_a_volume_are_no_surface() -> None:
+    """Many points of a solid ball are no thin sheet at any scale: charts stay fine."""
+    points = np.random.default_rng(0).normal(size=(60_000, 3))
+    scale, centres, _ = _measured(points)
+    assert len(centres.points) > 0.2 * len(points)
+    assert np.median(scale.spacing) < 0.05
+
+
 def test_stray_points_have_no_chart() -> None:
     """Isolated points far off a ball are left out, and none of the ball is."""
     rng = np.random.default_rng(3)

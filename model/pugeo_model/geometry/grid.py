@@ -56,19 +56,33 @@ def sort_into_grid(points: NDArray[np.float64], size: float) -> Grid:
 def rows_within(x, y, z, points, low, size, keys, order, found):  # type: ignore[no-untyped-def]
     """Find the points within ``size`` of a place, in the order of their cells.
 
+    If there are more than fit, every second one (or third, and so on) is taken: the first ones
+    alone would all lie on one side.
+
     Args:
         x, y, z: the place.
         points: ``(M, 3)``.
         low, size, keys, order: see :class:`Grid`.
-        found: ``(n,)`` int32, receives rows until it is full.
+        found: ``(n,)`` int32, receives rows.
 
     Returns:
         The number of rows found.
     """
+    total = _visit(x, y, z, points, low, size, keys, order, found, 1)
+    if total <= len(found):
+        return total
+    step = -(-total // len(found))
+    _visit(x, y, z, points, low, size, keys, order, found, step)
+    return -(-total // step)
+
+
+@njit(cache=True, nogil=True)
+def _visit(x, y, z, points, low, size, keys, order, found, step):  # type: ignore[no-untyped-def]
+    """Write every ``step``-th row within the radius as far as it fits; returns their number."""
     ix = min(max(int((x - low[0]) / size), 0), _CELLS - 2) + 1
     iy = min(max(int((y - low[1]) / size), 0), _CELLS - 2) + 1
     iz = min(max(int((z - low[2]) / size), 0), _CELLS - 2) + 1
-    count = 0
+    total = count = 0
     limit = size * size
     for dz in range(-1, 2):
         for dy in range(-1, 2):
@@ -77,8 +91,10 @@ def rows_within(x, y, z, points, low, size, keys, order, found):  # type: ignore
             while at < len(keys) and keys[at] <= first + 2:
                 row = order[at]
                 a, b, c = points[row, 0] - x, points[row, 1] - y, points[row, 2] - z
-                if a * a + b * b + c * c <= limit and count < len(found):
-                    found[count] = row
-                    count += 1
+                if a * a + b * b + c * c <= limit:
+                    if total % step == 0 and count < len(found):
+                        found[count] = row
+                        count += 1
+                    total += 1
                 at += 1
-    return count
+    return total

@@ -203,7 +203,9 @@ def test_cancelling_a_request(play: Play, tmp_path: Path) -> None:
         task = asyncio.create_task(
             run(engine, buffer.getvalue(), tmp_path, large, lambda _: begun.set())
         )
-        await begun.wait()
+        started = asyncio.create_task(begun.wait())
+        await asyncio.wait({task, started}, return_when=asyncio.FIRST_COMPLETED)
+        assert begun.is_set(), task
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
