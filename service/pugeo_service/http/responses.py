@@ -56,7 +56,8 @@ def run_headers(
         "Pugeo-Points-Out": str(report["points_out"]),
         "Pugeo-Dropped-Non-Finite": str(dropped["non_finite"]),
         "Pugeo-Dropped-Duplicate": str(dropped["duplicate"]),
-        "Pugeo-Dropped-Wild": str(dropped["wild"]),
+        # Jobs that an earlier version finished did not count these.
+        "Pugeo-Dropped-Wild": str(dropped.get("wild", 0)),
         "Pugeo-Notes": _notes(report["notes"]),
         "Server-Timing": ", ".join(timing),
     }
