@@ -38,6 +38,7 @@ _LARGEST_STEPS = 64.0  # spacings up to which a surface is searched
 _LARGEST = 0.1  # of the longest side of the cloud
 _FEWEST = 12  # points needed for a fit
 _BUFFER = 4096  # points of a ball that are used at most
+_KNOWN = 0.2  # share of points with a scale from which theirs is handed on
 _HANDED_ON = 16  # points whose median scale is handed on
 _FLAT, _THIN, _BALL = TUNING.surface_spread, TUNING.thin_sheet, TUNING.scale_ball
 
@@ -172,7 +173,8 @@ def _hand_on(
 ) -> None:
     """Give noisy points without a scale, where detail hides it, that of the points around."""
     known, rows = np.flatnonzero(found > 0.0), np.flatnonzero(lacking)
-    if not len(known) or not len(rows):
+    # Few points are thin by chance: those of a volume have no scale.
+    if not len(rows) or len(known) < _KNOWN * (len(known) + len(rows)):
         return
     near = known[knn(cKDTree(points[known]), points[rows], min(_HANDED_ON, len(known)))[1]]
     found[rows] = np.median(found[near], axis=1)
