@@ -12,7 +12,7 @@ from pugeo_client.errors import PugeoError
 
 __all__ = ["CommandLineService"]
 
-_TIMEOUT_S = 86_400.0  # who waits at a terminal ends it with Ctrl-C
+_TIMEOUT_S = 86_400.0  # a user at a terminal ends a long wait with Ctrl-C
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -26,13 +26,13 @@ class CommandLineService:
         as_jobs: submit each cloud as a job, which survives restarts of the service.
 
     Attributes:
-        Error: base class of what its calls raise.
+        error_type: base class of the errors that its calls raise.
 
     Raises:
         ConfigurationError: the address or the key cannot be used.
     """
 
-    Error = PugeoError
+    error_type = PugeoError
 
     def __init__(self, url: str, *, as_jobs: bool) -> None:
         self._client = Client(url, timeout=_TIMEOUT_S)
@@ -52,7 +52,7 @@ class CommandLineService:
             source: path or open file.
             target: path, or file that the answer is written to at the end.
             format: of the answer.
-            options: of the run, by the names of `Options`; without a ratio if ``n_points`` is set.
+            options: of the run, by the names of `upsample`; a missing one has its default.
             progress: called with a stage, and the bytes or patches done and in total.
 
         Returns:

@@ -118,7 +118,7 @@ def test_errors(tmp_path: Path) -> None:
     """An address without a service is an error that names it and the way to start one."""
     (tmp_path / "a.ply").touch()
     service = CommandLineService("http://127.0.0.1:9", as_jobs=False)
-    with pytest.raises(service.Error, match=r"127\.0\.0\.1:9.*pugeo serve"):
+    with pytest.raises(service.error_type, match=r"127\.0\.0\.1:9.*pugeo serve"):
         service.upsample(tmp_path / "a.ply", tmp_path / "b.ply", "ply", OPTIONS, lambda *_: None)
-    with pytest.raises(CommandLineService.Error, match="ftp"):
+    with pytest.raises(CommandLineService.error_type, match="ftp"):
         CommandLineService("ftp://there", as_jobs=False)

@@ -52,11 +52,31 @@ def test_n_points_replaces_the_ratio() -> None:
         assert "R" not in params
 
 
+def test_a_spacing_replaces_the_ratio() -> None:
+    """A spacing is sent without a ratio, and options of the surface by the service's names."""
+    params = build(
+        spacing=0.25, density="even", max_gap=2, viewpoint=[(0, 0, 1), (5, 0, 1)]
+    ).params
+    assert params["spacing"] == "0.25"
+    assert "R" not in params
+    assert (params["density"], params["max_gap"]) == ("even", "2.0")
+    assert params["viewpoint"] == "0.0,0.0,1.0;5.0,0.0,1.0"
+    assert build(ratio=1, denoise=True).params["denoise"] == "true"
+
+
 @pytest.mark.parametrize(
-    "both", [{"ratio": 4, "R": 4}, {"ratio": 4, "n_points": 9}, {"R": 4, "n_points": 9}]
+    "both",
+    [
+        {"ratio": 4, "R": 4},
+        {"ratio": 4, "n_points": 9},
+        {"R": 4, "n_points": 9},
+        {"ratio": 4, "spacing": 0.1},
+        {"R": 4, "spacing": 0.1},
+        {"n_points": 9, "spacing": 0.1},
+    ],
 )
 def test_one_density_alone(both: dict[str, float]) -> None:
-    """Two of ratio, R and n_points are refused before anything is sent."""
+    """Two of ratio, R, n_points and spacing are refused before anything is sent."""
     with pytest.raises(SourceError, match="only one of") as caught:
         build(**both)
     assert all(name in str(caught.value) for name in both)
@@ -73,6 +93,8 @@ def test_one_density_alone(both: dict[str, float]) -> None:
         ({"n_points": 3.5}, "n_points must be a whole number"),
         ({"n_points": "x"}, "n_points must be a whole number"),
         ({"seed": None}, "seed must be a whole number"),
+        ({"spacing": "wide"}, "spacing must be a number"),
+        ({"max_gap": [1]}, "max_gap must be a number"),
         ({"seed": float("inf")}, "seed must be a whole number"),
     ],
 )

@@ -11,7 +11,7 @@ import typer
 
 from pugeo_model.cli.display import say
 from pugeo_model.cli.inputs import expand
-from pugeo_model.cli.summary import FAILED, SOME_FAILED
+from pugeo_model.cli.summary import FAILED, SOME_FAILED, count_dropped
 from pugeo_model.cli.tasks import label
 from pugeo_model.errors import CloudError
 
@@ -196,13 +196,8 @@ def _text(told: dict[str, Any]) -> str:
         "upsampling",
         f"{work['points_out']:,} points at -R {work['ratio']:.4g}, as {work['format']}",
     )
-    dropped = work["dropped"]
-    if any(dropped.values()):
-        add(
-            "",
-            f"drops {dropped['non_finite']:,} non-finite and {dropped['duplicate']:,} duplicate "
-            "points",
-        )
+    if dropped := count_dropped(work["dropped"]):
+        add("", f"drops {dropped}")
     if work["denoised"]:
         add("", "removes noise first")
     add("", f"normals: {work['orient']}; {work['tiles']} tiles, {work['patches']} patches")

@@ -9,7 +9,7 @@ from pathlib import Path
 from pugeo_model.errors import CloudError
 from pugeo_model.formats import FORMATS, detect
 
-__all__ = ["Found", "expand", "format_of"]
+__all__ = ["Found", "expand", "format_of", "is_pattern"]
 
 _EXTENSIONS = frozenset(end for module in FORMATS.values() for end in module.EXTENSIONS)
 
@@ -48,6 +48,11 @@ def expand(arguments: Iterable[Path], beside: Path | None = None) -> list[Found]
     return list(found.values())
 
 
+def is_pattern(argument: Path) -> bool:
+    """True if an argument is matched against file names: a wildcard in it, and no file of its name."""
+    return glob.has_magic(str(argument)) and not argument.exists()
+
+
 def _expand_one(argument: Path, beside: Path | None) -> list[Found]:
     if str(argument) == "-":
         return [Found(None)]
@@ -59,7 +64,7 @@ def _expand_one(argument: Path, beside: Path | None) -> list[Found]:
                 f"{' '.join(sorted(_EXTENSIONS))}"
             )
         return [Found(path, path.relative_to(argument).parent) for path in files]
-    if not argument.exists() and glob.has_magic(str(argument)):
+    if is_pattern(argument):
         matching = sorted(glob.glob(str(argument), recursive=True))  # noqa: PTH207 - any pattern
         files = [Path(name) for name in matching if Path(name).is_file()]
         if not files:

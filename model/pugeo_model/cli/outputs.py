@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from pugeo_model.cli.inputs import Found, format_of
+from pugeo_model.cli.inputs import Found, format_of, is_pattern
 from pugeo_model.cli.tasks import CommandError, Task, label
 from pugeo_model.errors import UnsupportedFormatError
 from pugeo_model.formats import WRITABLE, output_format, written_as
@@ -26,7 +26,7 @@ def folder_of(out: str, arguments: Sequence[Path]) -> Path | None:
     Raises:
         CommandError: several inputs, and an output that is a file or standard output.
     """
-    several = len(arguments) > 1 or any(each.is_dir() or "*" in each.name for each in arguments)
+    several = len(arguments) > 1 or any(each.is_dir() or is_pattern(each) for each in arguments)
     ends = out.endswith(("/", os.sep))
     if out == "-":
         if several:

@@ -18,7 +18,7 @@ class RemoteService(Protocol):
     """A service, as the entry point ``client`` of the group ``pugeo.services`` gives it."""
 
     @property
-    def Error(self) -> type[Exception]:  # noqa: N802 - a class
+    def error_type(self) -> type[Exception]:
         """Base class of the errors of its calls; their texts are for people."""
 
     def upsample(
@@ -51,7 +51,7 @@ def connect(url: str, *, as_jobs: bool) -> RemoteService:
         kind = entry.load()
         try:
             service: RemoteService = kind(url, as_jobs=as_jobs)
-        except kind.Error as error:
+        except kind.error_type as error:
             raise CommandError(str(error)) from error
         return service
     raise CommandError("--url needs pugeo_client, which is not installed here")
@@ -91,7 +91,7 @@ def run_remotely(
                 settings.options,
                 show,
             )
-        except (service.Error, OSError) as error:
+        except (service.error_type, OSError) as error:
             return Outcome(source, target, "failed", error=str(error))
         report |= {"format": task.format, "read_as": task.read_as}
         return Outcome(source, target, "written", report, seconds=time.monotonic() - begin)

@@ -10,7 +10,7 @@ from typing import Any
 from pugeo_model.cli.display import say
 from pugeo_model.cli.tasks import Outcome, Task, label
 
-__all__ = ["FAILED", "SOME_FAILED", "Summary", "shown_error"]
+__all__ = ["FAILED", "SOME_FAILED", "Summary", "count_dropped", "shown_error"]
 
 FAILED = 2
 """Exit status if the only input cannot be used, or an option cannot."""
@@ -82,17 +82,24 @@ class Summary:
         return SOME_FAILED if len(self._tasks) > 1 else FAILED
 
     def _tell(self, outcome: Outcome) -> None:
-        report, dropped = outcome.report, outcome.report["dropped"]
+        report = outcome.report
         count = report.get("points_used", report["points_in"])
         signs = f" (normals: {report['orient']})" if "orient" in report else ""
         say(f"{count:,} points -> {report['points_out']:,} points in {outcome.target}{signs}")
-        if any(dropped.values()):
-            say(
-                f"dropped {dropped['non_finite']:,} non-finite and {dropped['duplicate']:,}"
-                " duplicate points"
-            )
+        if dropped := count_dropped(report["dropped"]):
+            say(f"dropped {dropped}")
         if "mesh" in report:
             say(f"mesh of {report['mesh']['faces']:,} faces in {report['mesh']['file']}")
+
+
+def count_dropped(dropped: dict[str, int]) -> str:
+    """Return the dropped points of each reason in words; an empty text if there are none.
+
+    Args:
+        dropped: reason -> number of points, such as ``non_finite``, ``duplicate``, ``wild``.
+    """
+    counts = [f"{n:,} {reason.replace('_', '-')}" for reason, n in dropped.items() if n]
+    return f"{' and '.join(counts)} points" if counts else ""
 
 
 def shown_error(outcome: Outcome, task: Task | None) -> str:

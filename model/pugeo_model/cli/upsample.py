@@ -27,8 +27,12 @@ def upsample(
     out: Annotated[
         str, typer.Option("-o", "--out", help="File, folder/ for several, or - for stdout.")
     ],
-    ratio: Annotated[float, typer.Option("-R", "--ratio", help="1 to 32, any number.")] = 4.0,
-    n_points: Annotated[int | None, typer.Option(help="Points wanted, instead of -R.")] = None,
+    ratio: Annotated[
+        float | None, typer.Option("-R", "--ratio", help="Points out per point in, 1 to 32 [4].")
+    ] = None,
+    n_points: Annotated[
+        int | None, typer.Option(help="Number of points out, instead of -R.")
+    ] = None,
     orient: Annotated[
         str, typer.Option(help="Signs of normals: auto, input, viewpoint, mst, outward, none.")
     ] = "auto",
@@ -109,8 +113,10 @@ def upsample(
     )  # fmt: skip
     folder = folder_of(out, sources)
     tasks = make_tasks(expand(sources, folder), out, folder, format)
-    skipped = [t for t in tasks if skip_existing and t.target is not None and t.target.exists()]
-    left = [task for task in tasks if task not in skipped]
+    skipped, left = [], []
+    for task in tasks:
+        there = skip_existing and task.target is not None and task.target.exists()
+        (skipped if there else left).append(task)
     if not overwrite:
         check_replaced(left)
     if mesh is not None:
@@ -147,12 +153,8 @@ def _run(
                 "a service cannot tell the format of stdin beforehand: give one",
                 param_hint="--format",
             )
-        options = dict(settings.options)
-        if options["n_points"] is not None or options["spacing"] is not None:
-            del options["ratio"]
-        remote = Settings(options)
         service = connect(url, as_jobs=jobs)
-        yield from run_remotely(service, tasks, remote, workers or _REQUESTS, display.update)
+        yield from run_remotely(service, tasks, settings, workers or _REQUESTS, display.update)
         return
     from pugeo_model.cli.local import MOST_PROCESSES, run_here, run_in_processes
     from pugeo_model.cpus import available_cpus
@@ -171,9 +173,17 @@ def _run(
 
 
 def _checked_options(*, viewpoint: str | None, **options: Any) -> dict[str, Any]:
-    """Options of the run; invalid ones are an error before the work, not after it."""
+    """Options of the run that were given; invalid ones are an error before the work."""
     from pugeo_model.options import Options
 
+    named = {"-R": "ratio", "--n-points": "n_points", "--spacing": "spacing"}
+    sizes = [flag for flag, name in named.items() if options[name] is not None]
+    if len(sizes) > 1:
+        raise typer.BadParameter(
+            f"give only one of -R, --n-points and --spacing, not {' and '.join(sizes)}"
+        )
+    if options["ratio"] is None:
+        del options["ratio"]  # the default of `Options`, or of the service
     options["viewpoint"] = None if viewpoint is None else _positions(viewpoint)
     Options(**options)
     return options

@@ -2,6 +2,8 @@
 """Tasks in several processes, some of which end."""
 
 import multiprocessing
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -58,6 +60,23 @@ def test_a_process_that_ends_costs_nothing(tasks: list[Task]) -> None:
 
 
 @pytest.mark.slow
+def test_a_process_that_ends_between_two_files(tasks: list[Task]) -> None:
+    """A process that is killed while it has no file costs nothing: a new one does the rest."""
+    known = set(threading.enumerate())
+    outcomes = run_in_processes(tasks, SETTINGS, 1, lambda *_: None)
+    first = next(outcomes)
+    (child,) = multiprocessing.active_children()
+    child.kill()
+    end = time.monotonic() + 60
+    # The pool notices it in a thread of its own, which ends then.
+    while set(threading.enumerate()) - known:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    rest = ended(outcomes)
+    assert (first.status, rest) == ("written", {"b.ply": "written", "c.ply": "written"})
+
+
+@pytest.mark.slow
 def test_a_file_whose_processes_end(tasks: list[Task]) -> None:
     """Files whose processes are killed twice fail with the likely reason; nothing hangs."""
 
@@ -72,7 +91,7 @@ def test_a_file_whose_processes_end(tasks: list[Task]) -> None:
 
 @pytest.mark.slow
 def test_leaving_early(tasks: list[Task]) -> None:
-    """Who stops listening, as Ctrl-C does, ends the processes and leaves no unfinished file."""
+    """Closing the generator, as Ctrl-C does, ends the processes and leaves no unfinished file."""
     outcomes = run_in_processes(tasks, SETTINGS, 2, lambda *_: None)
     next(outcomes)
     outcomes.close()  # type: ignore[attr-defined]

@@ -35,6 +35,9 @@ def make(name: str, head: bytes = HEADS["ply"]) -> Found:
         ("dense/", ["a.ply"], "dense"),
         ("dense", ["a.ply", "b.ply"], "dense"),
         ("dense", ["*.ply"], "dense"),
+        ("dense", ["scan?.ply"], "dense"),
+        ("dense", ["tiles/*/a.ply"], "dense"),
+        ("dense.ply", ["[1].ply"], None),
         ("there", ["a.ply"], "there"),
         ("-", ["a.ply"], None),
     ],
@@ -43,6 +46,7 @@ def make(name: str, head: bytes = HEADS["ply"]) -> Found:
 def test_folders(out: str, arguments: list[str], folder: str | None) -> None:
     """An output is a folder if it ends with a slash, is one, or has several inputs."""
     Path("there").mkdir()
+    Path("[1].ply").touch()
     found = folder_of(out, [Path(each) for each in arguments])
     assert found == (None if folder is None else Path(folder))
 

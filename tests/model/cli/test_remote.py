@@ -22,7 +22,7 @@ class BusyError(Exception):
 class InMemory:
     """A service that copies files, and refuses those called bad."""
 
-    Error = BusyError
+    error_type = BusyError
 
     def __init__(self, url: str, *, as_jobs: bool) -> None:
         if url == "nowhere":

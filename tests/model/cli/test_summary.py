@@ -36,9 +36,29 @@ def test_one_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert (status, out) == (0, "")
     assert err.splitlines() == [
         "1,000 points -> 4,000 points in d/a.laz (normals: mst)",
-        "dropped 0 non-finite and 1 duplicate points",
+        "dropped 1 duplicate points",
         "note: A guess.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("dropped", "words"),
+    [
+        ({"non_finite": 0, "wild": 0, "duplicate": 0}, []),
+        ({"non_finite": 0, "wild": 3, "duplicate": 0}, ["dropped 3 wild points"]),
+        (
+            {"non_finite": 1234, "wild": 1, "duplicate": 2},
+            ["dropped 1,234 non-finite and 1 wild and 2 duplicate points"],
+        ),
+    ],
+)
+def test_each_reason_of_dropped_points_is_counted(
+    capsys: pytest.CaptureFixture[str], dropped: dict[str, int], words: list[str]
+) -> None:
+    """Dropped points of every reason are printed, and reasons without points are not."""
+    report = {**REPORT, "dropped": dropped, "notes": []}
+    _, _, err = told(capsys, Outcome("a.laz", "d/a.laz", "written", report))
+    assert err.splitlines()[1:] == words
 
 
 def test_an_error_names_file_and_format(capsys: pytest.CaptureFixture[str]) -> None:

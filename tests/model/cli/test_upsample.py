@@ -91,7 +91,7 @@ def test_a_file_that_is_only_read(pugeo: Run, tmp_path: Path, scan: Run) -> None
 
 
 def test_attributes_without_room_are_named(pugeo: Run, scan: Run, tmp_path: Path) -> None:
-    """What an output format has no room for is told once for all files."""
+    """Attributes that the output format has no room for are named once for all files."""
     scans = [scan("a.ply"), scan("b.ply")]
     arguments = ("-o", f"{tmp_path}/dense/", "-R", 2, "--format", "npy", "--workers", 1)
     done = pugeo("upsample", *scans, *arguments)
@@ -110,6 +110,13 @@ def test_attributes_without_room_are_named(pugeo: Run, scan: Run, tmp_path: Path
         (["--model", "huge"], "no weights"),
         (["--workers", "0"], "workers"),
         (["-o", "-", "--json"], "both need stdout"),
+        (["-R", "4", "--spacing", "1"], "only one of -R, --n-points and --spacing, not -R and"),
+        (["-R", "4", "--n-points", "600"], "only one of -R, --n-points and --spacing, not -R and"),
+        (["--n-points", "600", "--spacing", "1"], "not --n-points and --spacing"),
+        (["--denoise"], "ratio 1"),
+        (["--denoise", "-R", "4"], "ratio 1"),
+        (["--denoise", "--spacing", "1"], "ratio 1"),
+        (["--denoise", "--n-points", "600"], "ratio 1"),
     ],
 )
 def test_what_does_not_go_together(
@@ -122,6 +129,36 @@ def test_what_does_not_go_together(
     assert done.status == 2
     assert words in " ".join(done.stderr.replace("│", " ").split())
     assert not (tmp_path / "x.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "size"),
+    [([], {}), (["-R", "2"], {"ratio": 2.0}), (["--spacing", "1"], {"spacing": 1.0})],
+)
+def test_a_service_gets_the_size_that_was_given(
+    pugeo: Run, scan: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], size: dict[str, float],
+) -> None:  # fmt: skip
+    """A service gets the one size of the command line, and none if the default is meant."""
+    asked: list[dict[str, Any]] = []
+
+    class Service:
+        error_type = KeyError
+
+        def upsample(self, _source: Path, target: Path, _format: str, options: Any, _: Any) -> Any:
+            asked.append(options)
+            target.touch()
+            return {"points_in": 1, "points_out": 1, "dropped": {}, "notes": []}
+
+        def each(self, call: Any, items: Any, _concurrency: int) -> Any:
+            return map(call, items)
+
+    monkeypatch.setattr("pugeo_model.cli.remote.connect", lambda *_, **__: Service())
+    out = tmp_path / "x.ply"
+    done = pugeo("upsample", scan("a.ply"), "-o", out, "--url", "http://there", *arguments)
+    assert done.status == 0, done.stderr
+    sizes = {name: asked[0].get(name) for name in ("ratio", "n_points", "spacing")}
+    assert {name: value for name, value in sizes.items() if value is not None} == size
 
 
 def test_help_is_short_to_ask_for(pugeo: Run) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from pugeo_model.errors import BadOptionError
 from pugeo_model.options import Options
 from pugeo_service.http.query import UpsampleQuery
 
@@ -38,6 +39,11 @@ def test_everything_reaches_the_model() -> None:
         {"n_points": "0"},
         {"n_points": "2.5"},
         {"R": "2", "n_points": "10"},
+        {"R": "2", "spacing": "0.1"},
+        {"n_points": "10", "spacing": "0.1"},
+        {"spacing": "0"},
+        {"max_gap": "inf"},
+        {"density": "dense"},
         {"seed": "-1"},
         {"seed": str(2**63)},
         {"viewpoint": "1,2"},
@@ -51,3 +57,11 @@ def test_what_is_out_of_range(query: dict[str, Any]) -> None:
     """A value out of its range is refused."""
     with pytest.raises(ValidationError):
         UpsampleQuery(**query)
+
+
+@pytest.mark.parametrize("query", [{}, {"R": "4"}, {"spacing": "0.1"}, {"n_points": "9"}])
+def test_denoising_needs_the_ratio_1(query: dict[str, Any]) -> None:
+    """Denoising with any other size, the default one too, is refused as on the command line."""
+    with pytest.raises(BadOptionError, match="ratio 1"):
+        Options(**UpsampleQuery(denoise=True, **query).for_model())
+    assert Options(**UpsampleQuery(denoise=True, R=1).for_model()).denoise
