@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures of all tests, their order, and the number of random examples.
 
-`make test` runs the files in two processes, in the order of `_ORDER`. An engine ends all worker
-processes below its own process when it stops, so files with engines come before those with services
-of their own. Both take longest, and come before all others.
+`make test` runs the files in two processes, in the order of `_ORDER`. Files with engines, and those
+with services of their own, take longest, and come before all others.
 """
 
 import os

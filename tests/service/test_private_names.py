@@ -76,6 +76,12 @@ def test_names_of_dask() -> None:
     for name in ("register_plugin", "subscribe_topic", "wait_for_workers", "submit", "gather"):
         assert hasattr(distributed.Client, name), name
     assert "n_workers" in inspect.signature(scheduler.Scheduler.identity).parameters
+    assert "self._created" in inspect.getsource(distributed.SpecCluster.__init__)
+    assert "self.process" in inspect.getsource(distributed.Nanny.__init__)
+    for name in ("worker_address", "pid"):
+        assert hasattr(distributed.Nanny, name), name
+    assert "self.process" in inspect.getsource(distributed.nanny.WorkerProcess.__init__)
+    assert hasattr(distributed.process.AsyncProcess, "pid")
     for name in vars(ReportRetries):
         if inspect.isfunction(vars(ReportRetries)[name]) and name != "__init__":
             assert hasattr(SchedulerPlugin, name), name

@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worker processes that this process has started, however they are."""
+"""End of worker processes that may hang."""
 
 import contextlib
-import os
+from collections.abc import Iterable
 
 import psutil
 
-__all__ = ["end_children"]
+__all__ = ["end_children", "end_processes"]
+
+
+def end_processes(processes: Iterable[psutil.Process]) -> None:
+    """End processes, also stopped or hanging ones: the signal cannot be caught.
+
+    A process that has ended is left out, even if the system has given its number to another one.
+    """
+    for process in processes:
+        with contextlib.suppress(psutil.Error):
+            process.kill()
 
 
 def end_children() -> int:
-    """End all processes of this process's own that run workers; return their number.
+    """End all worker processes below this process, whoever started them; return their number."""
+    workers = [each for each in psutil.Process().children(recursive=True) if _is_worker(each)]
+    end_processes(workers)
+    return len(workers)
 
-    A signal that cannot be caught ends those too that are stopped or hang.
-    """
-    ended = 0
-    for child in psutil.Process(os.getpid()).children(recursive=True):
-        with contextlib.suppress(psutil.Error):
-            if "spawn_main" in " ".join(child.cmdline()):
-                child.kill()
-                ended += 1
-    return ended
+
+def _is_worker(process: psutil.Process) -> bool:
+    try:
+        return "spawn_main" in " ".join(process.cmdline())
+    except psutil.Error:
+        return False

@@ -17,13 +17,14 @@ from typing import Any, TypeVar
 
 import dask
 import distributed
+import psutil
 import structlog
 from distributed import scheduler
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_service.engine.backend import CORE, Handle, is_quick
-from pugeo_service.engine.children import end_children
+from pugeo_service.engine.children import end_processes
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.heartbeats import HeartbeatWatch
 from pugeo_service.engine.retries import TOPIC, ReportRetries
@@ -172,6 +173,8 @@ class DaskBackend:
             self._poll.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._poll
+        # Read before the nannies close, which forget processes that do not end in time.
+        processes = self._processes()
         try:
             if self._client is not None:
                 await asyncio.wait_for(self._client.close(), _CLOSE_S)
@@ -182,15 +185,14 @@ class DaskBackend:
                     asyncio.get_running_loop().set_exception_handler(lambda _, __: None)
                     logging.getLogger("distributed").setLevel(logging.CRITICAL)
                     logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)
-                    end_children()
+                    end_processes(self._processes())
                     await asyncio.wait({self._rising}, timeout=_CLOSE_S)
             if self._cluster is not None:
                 await asyncio.wait_for(self._cluster.close(), _CLOSE_S)
         except Exception as error:  # noqa: BLE001 - whatever fails here, the processes must end
             _log.warning("workers did not stop in order", reason=str(error) or type(error).__name__)
         finally:
-            if self._cluster is not None:
-                end_children()
+            end_processes(processes | self._processes())
 
     def submit(
         self,
@@ -325,6 +327,16 @@ class DaskBackend:
         if self._cluster is not None:
             self._end_hanging(hanging)
             self._replace_nannies()
+
+    def _processes(self) -> set[psutil.Process]:
+        """Return our own worker processes, also those that are starting."""
+        found: set[psutil.Process] = set()
+        for nanny in [] if self._cluster is None else list(self._cluster._created):
+            process = nanny.process and nanny.process.process
+            with contextlib.suppress(psutil.Error):
+                if process is not None and process.pid is not None:
+                    found.add(psutil.Process(process.pid))
+        return found
 
     def _pids(self) -> dict[str, int]:
         """Return the process ids of our own workers by their addresses."""

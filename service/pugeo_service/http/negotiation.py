@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the output format: ``?format=``, then ``Accept`` (RFC 9110), then that of the input."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pugeo_model.formats import WRITABLE, output_format
 from pugeo_service.problems import ProblemError
@@ -43,23 +45,21 @@ def _output_format(name: str) -> OutputFormat:
 OUTPUT_FORMATS: dict[str, OutputFormat] = {
     name: _output_format(name) for name in sorted(WRITABLE, key=lambda name: name != "ply")
 }
-# Media ranges that the format of the input suits, whatever it is.
-_ANY = frozenset({"*/*", "application/octet-stream"})
-# Fallbacks of the other wildcards: for an input whose format has no such media type.
-_WILDCARDS = {"application/*": "ply", "model/*": "ply", "text/*": "xyz"}
+# The media type of any bytes, which every format suits.
+_BYTES = "application/octet-stream"
+# Choices for an input whose own format does not suit: PLY, or XYZ where only text does.
+_COMMON = frozenset({"ply", "xyz"})
 
 
 @dataclass(frozen=True)
 class OutputChoice:
-    """The format of an answer, as far as it is known before the input.
+    """The formats that an answer may have, as far as they are known before the input.
 
     Attributes:
-        fixed: the format that the request names; ``None`` if it is that of the input.
-        media_range: range that the format of the input must suit, such as ``*/*`` or ``text/*``.
+        allowed: at least one format; the first is for an input whose own format is not among them.
     """
 
-    fixed: OutputFormat | None
-    media_range: str = "*/*"
+    allowed: tuple[OutputFormat, ...]
 
     def for_input(self, read_as: str | None) -> OutputFormat:
         """Return the format of the answer to an input.
@@ -67,14 +67,8 @@ class OutputChoice:
         Args:
             read_as: the model's name of the input's format, ``None`` if it is not recognised.
         """
-        if self.fixed is not None:
-            return self.fixed
         own = OUTPUT_FORMATS[output_format(read_as)]
-        if self.media_range in _ANY:
-            return own
-        prefix = self.media_range.removesuffix("*")
-        suits = any(kind.startswith(prefix) for kind in own.media_types)
-        return own if suits else OUTPUT_FORMATS[_WILDCARDS[self.media_range]]
+        return own if own in self.allowed else self.allowed[0]
 
 
 def choose_format(accept: str | None, wanted: str | None) -> OutputChoice:
@@ -94,24 +88,65 @@ def choose_format(accept: str | None, wanted: str | None) -> OutputChoice:
             detail = f"format={wanted[:40]!r} is not one of {', '.join(OUTPUT_FORMATS)}."
             fields = {"parameter": "format", "value": wanted[:80], "allowed": list(OUTPUT_FORMATS)}
             raise ProblemError(422, "bad_option", detail, fields=fields)
-        return OutputChoice(OUTPUT_FORMATS[wanted])
+        return OutputChoice((OUTPUT_FORMATS[wanted],))
+    outputs = sorted(OUTPUT_FORMATS.values(), key=lambda output: output.name not in _COMMON)
     if accept is None or not accept.strip():
-        return OutputChoice(None)
-    for media_range in _ranked(accept):
-        if media_range in _ANY or media_range in _WILDCARDS:
-            return OutputChoice(None, media_range)
-        for output in OUTPUT_FORMATS.values():
-            if media_range in output.media_types:
-                return OutputChoice(output)
+        return OutputChoice(tuple(outputs))
+    ranges = _parsed(accept)
+    ranks = {output.name: _rank(output, ranges) for output in outputs}
+    best = max(ranks.values())
+    if best.weight > 0:
+        return OutputChoice(tuple(output for output in outputs if ranks[output.name] == best))
     offers = [output.media_type for output in OUTPUT_FORMATS.values()]
     detail = f"No output format matches Accept: {accept[:120]}. Offered: {', '.join(offers)}."
     fields = {"offers": offers, "formats": list(OUTPUT_FORMATS)}
     raise ProblemError(406, "not_acceptable", detail, headers={"Vary": "Accept"}, fields=fields)
 
 
-def _ranked(accept: str) -> list[str]:
-    """Return the media ranges of an ``Accept`` header, best first, without those of weight 0."""
-    weighted: list[tuple[float, bool, int, str]] = []
+class _Rank(NamedTuple):
+    """Preference for a media range; the larger one wins.
+
+    Attributes:
+        weight: 0 to 1; a weight of 0 excludes the media types of the range.
+        precision: 2 for a media type, 1 for ``type/*``, 0 for ``*/*``.
+        order: the negative position in the header.
+    """
+
+    weight: float
+    precision: int
+    order: int
+
+
+_EXCLUDED = _Rank(0.0, 0, 0)
+
+
+def _rank(output: OutputFormat, ranges: Mapping[str, _Rank]) -> _Rank:
+    """Return the rank of a format: that of the most specific range that matches one of its names.
+
+    A name that is excluded excludes the format, unless another of its names is listed.
+    """
+    named = [ranges[kind] for kind in output.media_types if kind in ranges]
+    if named and max(named).weight == 0:
+        return _EXCLUDED
+    if _BYTES in ranges and ranges[_BYTES].weight > 0:
+        named.append(ranges[_BYTES])
+    if named:
+        return max(named)
+    served, *others = (_wildcard(kind, ranges) for kind in output.media_types)
+    # A range that excludes the Content-Type of the answer excludes it under each of its names.
+    if served is not None and served.weight == 0:
+        return _EXCLUDED
+    return max((found for found in (served, *others) if found is not None), default=_EXCLUDED)
+
+
+def _wildcard(kind: str, ranges: Mapping[str, _Rank]) -> _Rank | None:
+    """Return the rank of the most specific wildcard that matches a media type, if there is one."""
+    return ranges.get(f"{kind.partition('/')[0]}/*", ranges.get("*/*"))
+
+
+def _parsed(accept: str) -> dict[str, _Rank]:
+    """Return the media ranges of an ``Accept`` header; of a repeated one, the best rank."""
+    ranges: dict[str, _Rank] = {}
     for position, item in enumerate(accept.split(",")):
         kind, *parameters = (part.strip().lower() for part in item.split(";"))
         weight = 1.0
@@ -122,9 +157,9 @@ def _ranked(accept: str) -> list[str]:
             elif name.strip() == "format":
                 plain = value.strip().strip('"')
                 kind = f"{kind};format={plain}"
-        if kind and weight > 0:
-            weighted.append((-weight, "*" in kind, position, kind))
-    return [kind for *_, kind in sorted(weighted)]
+        precision = 2 - kind.count("*")
+        ranges[kind] = max(ranges.get(kind, _EXCLUDED), _Rank(weight, precision, -position))
+    return ranges
 
 
 def _weight(value: str) -> float:

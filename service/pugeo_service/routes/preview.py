@@ -51,7 +51,7 @@ async def preview(request: Request, service: ServiceDep) -> Response:
     with ExitStack() as held:
         try:
             result, _ = await serve(
-                request, service, OutputChoice(_MESH), {"ratio": 1.0}, deadline, held,
+                request, service, OutputChoice((_MESH,)), {"ratio": 1.0}, deadline, held,
                 surface_points=most,
             )  # fmt: skip
         except (ProblemError, CloudError) as error:

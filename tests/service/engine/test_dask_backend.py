@@ -55,10 +55,7 @@ def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
 
 @pytest.fixture(scope="module")
 def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
-    """Run a scenario that loses no worker against one backend of one light worker.
-
-    Its tests are the last ones of the file: a backend that stops ends the workers of all backends.
-    """
+    """Run a scenario that loses no worker against one backend of one light worker."""
     config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dask_backend, "_CONFIG", config)
@@ -282,6 +279,21 @@ def test_a_worker_that_is_stopped_while_it_starts(
 
     asyncio.run(run())
     gc.collect()  # the cluster, which did not come up
+
+
+def test_a_stop_ends_no_workers_of_another_backend(play: Play, play_shared: Play) -> None:
+    """Two backends of one process have their own workers; a stop ends those of its own backend."""
+    psutil: Any = importlib.import_module("psutil")
+    pids: list[int] = []
+
+    async def pid(backend: DaskBackend) -> None:
+        pids.append(await backend.fetch(submit(backend, light.pid)))
+
+    play_shared(pid)
+    play(pid, workers=1)
+    play_shared(pid)
+    shared, own, again = pids
+    assert (again, psutil.pid_exists(own)) == (shared, False)
 
 
 def test_errors_of_a_stage_arrive(play_shared: Play) -> None:

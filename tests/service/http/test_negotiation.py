@@ -76,7 +76,42 @@ def test_a_range_that_the_input_may_not_suit(accept: str, read_as: str, expected
     assert choose_format(accept, None).for_input(read_as).name == expected
 
 
-@pytest.mark.parametrize("accept", ["image/png", "application/json;q=0", "text/html"])
+@pytest.mark.parametrize(
+    ("accept", "read_as", "expected"),
+    [
+        ("application/x-ply;q=0, */*", "ply", "xyz"),
+        ("*/*, application/x-ply;q=0", "ply", "xyz"),
+        ("application/x-ply;q=0.0, */*;q=0.1", "ply", "xyz"),
+        ("application/x-ply;q=0, */*", "laz", "laz"),
+        ("application/x-ply;q=0, */*", "stl", "xyz"),
+        ("application/x-ply;q=0, application/ply, */*;q=0.1", "laz", "ply"),
+        ("application/json;q=0, application/octet-stream", "json", "ply"),
+        ("application/octet-stream;q=0, */*", "npz", "npz"),
+        ("text/plain;q=0, text/*", "xyz", "ply-ascii"),
+        ("application/*;q=0, */*", "ply", "xyz"),
+        ("application/*;q=0, application/json, */*;q=0.1", "ply", "json"),
+        ("model/*;q=0, */*", "e57", "ply"),
+        ("model/*;q=0, */*", "ply", "ply"),
+        ("*/*;q=0, application/x-npz", "ply", "npz"),
+        ("application/json;q=0.1, */*", "json", "ply"),
+    ],
+)
+def test_the_most_specific_range_decides(accept: str, read_as: str, expected: str) -> None:
+    """A weight of 0 excludes a media type, also where a wildcard of more weight matches it."""
+    assert choose_format(accept, None).for_input(read_as).name == expected
+
+
+@pytest.mark.parametrize(
+    "accept",
+    [
+        "image/png",
+        "application/json;q=0",
+        "text/html",
+        "*/*;q=0",
+        "text/plain;q=0, text/csv;q=0, text/ply;q=0, text/x-ply;q=0, text/*",
+        "application/octet-stream;q=0",
+    ],
+)
 def test_nothing_suits(accept: str) -> None:
     """406 lists all formats."""
     with pytest.raises(ProblemError) as caught:
