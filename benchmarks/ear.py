@@ -51,6 +51,7 @@ def ear(cloud: Cloud, ratio: float) -> Cloud:
     processing.mst_orient_normals(points, _NEIGHBOURS)
     spacing = processing.compute_average_spacing(points, 6)
     wanted = Options(ratio).points_out(len(cloud))
+    assert wanted is not None
     processing.edge_aware_upsample_point_set(
         points, _SHARPNESS, _SENSITIVITY, _REACH * spacing, wanted
     )

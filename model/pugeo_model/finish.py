@@ -19,6 +19,7 @@ from pugeo_model.resample.atlas import Projected
 from pugeo_model.resample.bounds import bounded_spacing, distance_bounds
 from pugeo_model.resample.seams import BorderPoints
 from pugeo_model.resample.selection import spread_evenly
+from pugeo_model.tiles import Tile
 from pugeo_model.tuning import TUNING
 
 __all__ = ["Border", "UpsampledTile", "finish"]
@@ -77,6 +78,8 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     places = prepared.points if tile.input is None else tile.input.points
     source = replace(prepared.cloud, points=places)
     colors, scalars = transfer_attributes(source, projected.points)
+    if tile.keeps_input:
+        _keep_attributes(tile, colors, scalars)
     dense = replace(
         prepared.cloud,
         points=tile.normalisation.world(projected.points),
@@ -88,6 +91,16 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         dense.points[: tile.kept] = tile.cloud.points[: tile.kept]
     border = Border(signs, None if prepared.core.all() else _border_points(prepared, projected))
     return UpsampledTile(dense, parts, border, prepared.noise, tile.normalisation)
+
+
+def _keep_attributes(
+    tile: Tile, colors: NDArray[Any] | None, scalars: dict[str, NDArray[Any]]
+) -> None:
+    """Give the leading input points their own colours and scalars, also if they were moved."""
+    if colors is not None and tile.cloud.colors is not None:
+        colors[: tile.kept] = tile.cloud.colors[: tile.kept]
+    for name, values in scalars.items():
+        values[: tile.kept] = tile.cloud.scalars[name][: tile.kept]
 
 
 def _spread_evenly(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:

@@ -14,7 +14,13 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.centres import Centres, choose_centres
-from pugeo_model.geometry.neighbours import NEIGHBOURS, knn, nearest
+from pugeo_model.geometry.neighbours import (
+    NEIGHBOURS,
+    SPACING_NEIGHBOURS,
+    knn,
+    nearest,
+    spacing,
+)
 from pugeo_model.geometry.partition import partition
 from pugeo_model.geometry.quadric_at_points import is_stacked, quadrics_at
 from pugeo_model.geometry.scale import measure_scale
@@ -23,6 +29,8 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["InputPoints", "TileInput", "represent"]
 
+_FEWEST = 64  # points of a cloud below which nothing tells noise and stray points from detail
+_FEWEST_CHARTS = 32  # charts without which a neighbourhood is not complete
 _SAMPLE = 16_384  # points of a large cloud that are tested
 _GROUP = 64  # tested points, next to each other, that are judged together
 _FEW_GROUPS = 0.02  # share of groups that may be rough by chance
@@ -35,14 +43,12 @@ class TileInput:
     Attributes:
         cloud: the points with their attributes.
         points: ``(n, 3)`` float64, unit scale.
-        rows: ``(n,)`` int32 rows in the cleaned cloud.
         chart: ``(n,)`` int32 row of the tile that represents each.
         core: number of leading points that charts of the core represent.
     """
 
     cloud: Cloud
     points: NDArray[np.float64]
-    rows: NDArray[np.int32]
     chart: NDArray[np.int32]
     core: int
 
@@ -70,7 +76,7 @@ class InputPoints:
         """Return the points behind charts ``rows``, of which ``core`` lead."""
         mine, chart = self.behind(rows)
         inside = int(np.searchsorted(chart, core))
-        return TileInput(cloud.take(mine), self.points[mine], mine, chart, inside)
+        return TileInput(cloud.take(mine), self.points[mine], chart, inside)
 
     def behind(self, rows: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Return rows of the points behind charts ``rows``, and the index of each one's chart."""
@@ -94,18 +100,20 @@ def represent(points: NDArray[np.float64], *, keep_all: bool) -> InputPoints | N
         points: ``(M, 3)``, longest side 1.
         keep_all: all points are part of the output, so none is left out as stray.
     """
-    if _is_plain(points):
+    if len(points) < _FEWEST or _is_plain(points):
         return None
     distances, neighbours = nearest(points)
     scale = measure_scale(points, neighbours, distances)
     stray = np.zeros(len(points), np.bool_)
     if not keep_all:
-        spacing = distances[:, :8].astype(np.float64).mean(axis=1)
-        around = np.median(spacing[neighbours[:, :8]], axis=1)
-        stray = stray_points(np.arange(len(points)), points, neighbours, spacing, around)
+        own = spacing(distances).astype(np.float64)
+        around = np.median(own[neighbours[:, :SPACING_NEIGHBOURS]], axis=1)
+        stray = stray_points(np.arange(len(points)), points, neighbours, own, around)
     if not scale.coarse.any() and not stray.any():
         return None
     centres = choose_centres(points, scale, stray)
+    if len(centres.points) < _FEWEST_CHARTS:
+        return None
     kept = np.flatnonzero(~stray).astype(np.int32)
     order = kept[np.argsort(centres.of_point[kept], kind="stable")]
     start = np.zeros(len(centres.points) + 1, dtype=np.int64)

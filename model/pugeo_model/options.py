@@ -107,14 +107,17 @@ class Options:
         """True if the output has one spacing over the whole surface."""
         return self.density == "even" or self.spacing is not None
 
-    def points_out(self, count: int) -> int:
-        """Return the number of output points for ``M`` input points: round(R M), halves up."""
+    def points_out(self, count: int) -> int | None:
+        """Return the number of output points for ``M`` input points: round(R M), halves up.
+
+        ``None`` with ``spacing``: the number then follows from the area of the surface.
+        """
+        if self.spacing is not None:
+            return None
         return self.n_points or math.floor(self.ratio * count + 0.5)
 
     def keeps_points(self, count: int) -> bool:
         """Return whether the output has the input points, in order: by option, or at ratio 1."""
-        if self.spacing is not None:
-            return False
         return self.keep_input or self.points_out(count) == count
 
 

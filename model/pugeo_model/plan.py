@@ -20,7 +20,11 @@ from pugeo_model.normalise import FEWEST, Normalisation, normalise
 from pugeo_model.options import LARGEST_RATIO, Options, refuse
 from pugeo_model.orient.given import signs_agree
 from pugeo_model.orient.methods import resolve_method
-from pugeo_model.orient.stations import directions_to_stations, station_numbers
+from pugeo_model.orient.stations import (
+    directions_to_stations,
+    directions_to_visible_stations,
+    station_numbers,
+)
 from pugeo_model.tiles import Tile, TileSpec, plan_tiles
 from pugeo_model.tuning import TUNING
 from pugeo_model.units import coordinate_warnings
@@ -47,8 +51,9 @@ class Plan:
         options: options of the caller.
         orient: the method that gives normals their signs, never ``auto``.
         viewpoint: sensor position in the cloud's own frame and units, if there is one.
-        sights: ``(M, 3)`` float32, see `directions_to_stations`; ``None`` unless several
+        sights: ``(M, 3)`` float32, directions to stations; ``None`` unless several
             stations give the normals their signs.
+        usual_weight: weight of the usual chart of the cloud.
         n_out: number of output points.
         report: counts and notes so far, JSON-able.
         patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
@@ -67,6 +72,7 @@ class Plan:
     orient: str
     viewpoint: tuple[float, float, float] | None
     sights: NDArray[np.float32] | None
+    usual_weight: float
     n_out: int
     report: dict[str, Any]
     patch_ratio: int | None = None
@@ -80,13 +86,6 @@ class Plan:
     def tiles_in_order(self) -> bool:
         """True if the output is the points of the tiles, one after the other."""
         return len(self.tile_specs) == 1 or not self.keeps_input
-
-    @property
-    def usual_weight(self) -> float:
-        """Weight of the usual chart: the median of areas, which gaps do not change, or the mean."""
-        if self.weights is None:
-            return 1.0
-        return float(np.median(self.weights) if self.options.is_even else self.weights.mean())
 
     def input_rows(self, spec: TileSpec) -> NDArray[np.int32]:
         """Rows of the cleaned cloud behind the core of a tile, in the order of its output."""
@@ -160,20 +159,31 @@ def make_plan(
 
     Raises:
         UntreatableCloudError: the points left after cleaning span no surface.
-        BadOptionError: ``n_points`` is not 1 to 32 times the points left, or ``orient`` needs
-            normals that the cloud does not have.
+        BadOptionError: ``n_points`` is not 1 to 32 times the points left, ``spacing`` asks for
+            more or for too few, ``orient`` needs normals that the cloud does not have, or the
+            network has no charts for an option.
     """
+    if patch_ratio is not None:
+        _refuse_without_charts(options)
     cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
+    wanted = options.points_out(count)
+    if wanted is not None:
+        _check_points_out(wanted, count, patch_ratio)
     keeps_input = options.keeps_points(count)
     stays = keeps_input and not options.denoise
     source = None if patch_ratio else represent(points, keep_all=keeps_input)
     if source is not None:
         points = source.centres.points
     weights = _weights(points, source, options)
-    n_out = _points_out(count, weights, normalisation.scale, options, patch_ratio)
-    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size, weights)
+    n_out = wanted
+    if n_out is None:
+        n_out = _points_at_spacing(count, weights, normalisation.scale, options)
+    kept = None
+    if keeps_input:
+        kept = np.ones(count, np.int64) if source is None else source.centres.count
+    specs, noise, median_spacing = plan_tiles(points, n_out, tile_size, weights, kept)
     if noise is not None and noise > TUNING.noise_threshold and not stays:
         # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
@@ -216,6 +226,7 @@ def make_plan(
         orient=method,
         viewpoint=None if stations is None else tuple(stations[0].tolist()),
         sights=sights,
+        usual_weight=_usual_weight(weights, options),
         n_out=n_out,
         report=report,
         patch_ratio=patch_ratio,
@@ -232,34 +243,21 @@ def _weights(
     return None if source is None else source.centres.count.astype(np.float64)
 
 
-def _points_out(
-    count: int,
-    weights: NDArray[np.float64] | None,
-    scale: float,
-    options: Options,
-    patch_ratio: int | None,
-) -> int:
-    """Number of output points.
+def _usual_weight(weights: NDArray[np.float64] | None, options: Options) -> float:
+    """Weight of the usual chart: the median of areas, which gaps do not change, or the mean."""
+    if weights is None:
+        return 1.0
+    return float(np.median(weights) if options.is_even else weights.mean())
+
+
+def _check_points_out(n_out: int, count: int, patch_ratio: int | None) -> None:
+    """Refuse a number of output points that is not 1 to 32 times the points left after cleaning.
 
     Raises:
-        BadOptionError: ``n_points`` or ``spacing`` asks for too few or too many points.
+        BadOptionError: ``n_points`` is too small or too large.
     """
     largest = int(LARGEST_RATIO) if patch_ratio is None else patch_ratio
     most = largest * count
-    if options.spacing is not None and weights is not None:
-        area = float(areas_of_quotas(weights, 1.0).sum())
-        wanted = area / area_of_spacing(options.spacing / scale)
-        if not FEWEST <= wanted <= most:
-            finest = spacing_of_area(area / most) * scale
-            coarsest = spacing_of_area(area / FEWEST) * scale
-            refuse(
-                "spacing",
-                options.spacing,
-                f"from {finest:.4g} to {coarsest:.4g} for this cloud: {most} to {FEWEST} points",
-                limit=[finest, coarsest],
-            )
-        return round(wanted)
-    n_out = options.points_out(count)
     if not count <= n_out <= most:
         refuse(
             "n_points",
@@ -267,7 +265,44 @@ def _points_out(
             f"from {count} to {most} (1 to {largest} times the points left after cleaning)",
             limit=[count, most],
         )
-    return n_out
+
+
+def _points_at_spacing(
+    count: int, weights: NDArray[np.float64] | None, scale: float, options: Options
+) -> int:
+    """Number of output points by the spacing that is asked for.
+
+    Raises:
+        BadOptionError: that are fewer than 8 points, or more than 32 times the input.
+    """
+    assert weights is not None
+    assert options.spacing is not None
+    most = int(LARGEST_RATIO) * count
+    area = float(areas_of_quotas(weights, 1.0).sum())
+    wanted = area / area_of_spacing(options.spacing / scale)
+    if not FEWEST <= wanted <= most:
+        finest = spacing_of_area(area / most) * scale
+        coarsest = spacing_of_area(area / FEWEST) * scale
+        refuse(
+            "spacing",
+            options.spacing,
+            f"from {finest:.4g} to {coarsest:.4g} for this cloud: {most} to {FEWEST} points",
+            limit=[finest, coarsest],
+        )
+    return round(wanted)
+
+
+def _refuse_without_charts(options: Options) -> None:
+    """Refuse options that need charts, for a network that upsamples whole patches."""
+    if options.is_even:
+        name = "density" if options.spacing is None else "spacing"
+    elif options.max_gap is not None:
+        name = "max_gap"
+    elif options.denoise:
+        name = "denoise"
+    else:
+        return
+    refuse(name, getattr(options, name), "left out: this network upsamples whole patches")
 
 
 def _stations(cloud: Cloud, options: Options) -> NDArray[np.float64] | None:
@@ -287,11 +322,12 @@ def _sights(
     """Directions from the charts to the stations that saw them, ``(M, 3)``."""
     places = (stations - normalisation.offset) / normalisation.scale
     number = station_numbers(cloud, len(stations))
-    if number is None or source is None:
+    if number is None:
         typical = float(np.median(spacing(nearest(points, SPACING_NEIGHBOURS)[0])))
-        return directions_to_stations(points, places, number, typical)
-    each = directions_to_stations(source.points, places, number, 0.0)
-    return source.sums_of_charts(each)
+        return directions_to_visible_stations(points, places, typical)
+    if source is None:
+        return directions_to_stations(points, places, number)
+    return source.sums_of_charts(directions_to_stations(source.points, places, number))
 
 
 def _choose_signs(cloud: Cloud, options: Options) -> tuple[Cloud, str]:

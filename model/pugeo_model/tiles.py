@@ -139,6 +139,7 @@ def plan_tiles(
     n_out: int,
     size: int | None = None,
     weights: NDArray[np.float64] | None = None,
+    kept: NDArray[np.integer[Any]] | None = None,
 ) -> tuple[list[TileSpec], float | None, float | None]:
     """Divide a cloud into tiles.
 
@@ -147,6 +148,8 @@ def plan_tiles(
         n_out: number of output points, divided among the tiles in proportion to their cores.
         size: largest number of input points in a core; by default it follows from ``n_out``.
         weights: ``(M,)`` to which the output points of a tile are proportional, by default equal.
+        kept: ``(M,)`` output points that each point brings along as they are: a tile has at least
+            these. By default none.
 
     Returns:
         The tiles, whose cores partition the cloud; noise and median spacing of the cloud, see
@@ -160,12 +163,7 @@ def plan_tiles(
         return [TileSpec(np.arange(count, dtype=np.int32), count, count, n_out)], None, None
     cores = partition(points, size)
     margins = _margins(points, cores)
-    if weights is None:
-        sizes = np.cumsum([0] + [len(core) for core in cores])
-        ends = [n_out * at // count for at in sizes.tolist()]
-    else:
-        sums = np.cumsum([0.0] + [float(weights[core].sum()) for core in cores])
-        ends = np.rint(n_out * sums / sums[-1]).astype(np.int64).tolist()
+    ends = _output_ends(cores, n_out, weights, kept)
     specs = [
         TileSpec(
             np.concatenate([core, *margin]), len(core), len(core) + len(margin[0]), stop - start
@@ -175,6 +173,29 @@ def plan_tiles(
         )
     ]
     return specs, *_noise_and_spacing(points, specs[:: -(-len(specs) // TUNING.noise_tiles)])
+
+
+def _output_ends(
+    cores: list[NDArray[np.int32]],
+    n_out: int,
+    weights: NDArray[np.float64] | None,
+    kept: NDArray[np.integer[Any]] | None,
+) -> list[int]:
+    """Index of the first output point of each tile, and ``n_out``."""
+    if weights is None:
+        sizes = np.cumsum([0] + [len(core) for core in cores]).tolist()
+        return [n_out * at // sizes[-1] for at in sizes]
+    parts = np.array([float(weights[core].sum()) for core in cores])
+    parts *= n_out / parts.sum()
+    if kept is not None:
+        # Points that are kept count first; the rest goes where the share of a tile is larger.
+        least = np.array([int(kept[core].sum()) for core in cores])
+        more = np.maximum(parts - least, 0.0)
+        extra = n_out - int(least.sum())
+        new = np.rint(np.cumsum(more) * (extra / max(float(more.sum()), 1e-300))).astype(np.int64)
+        return [0, *(np.cumsum(least) + new).tolist()]
+    ends: list[int] = np.rint(np.cumsum(parts)).astype(np.int64).tolist()
+    return [0, *ends]
 
 
 def _margins(

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 pytest.importorskip("benchmarks", reason="not part of a source distribution")
 
-from benchmarks import surface
 from benchmarks.roofline import _Traffic, work
 
 from pugeo_model import Cloud
@@ -20,7 +20,7 @@ from pugeo_model.upsampler import Upsampler
 SCALES, NEIGHBOURS, MESSAGE = 4, 32, 12  # pools, neighbours pooled, messages a round
 
 
-def test_products_of_a_chart() -> None:
+def test_products_of_a_chart(sphere: NDArray[np.float32]) -> None:
     """One closed patch of 600 points, which has no rings: each layer's inputs times its outputs.
 
     Filled up it has 640 rows; counting those would give 7 % more.
@@ -43,7 +43,7 @@ def test_products_of_a_chart() -> None:
         # In float32 the mean over neighbours is a product with a row of ones.
         exact += NEIGHBOURS * e + rounds * MESSAGE * w
 
-    found = work(model, Cloud(surface.spiral(600).astype(np.float32)), 4.0)
+    found = work(model, Cloud(sphere), 4.0)
     assert found.charts == 600
     assert found.flops == pytest.approx(2.0 * exact, rel=1e-6)
     # Values of the first layer alone move more; products all reuse what they read.

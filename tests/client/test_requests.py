@@ -54,9 +54,7 @@ def test_n_points_replaces_the_ratio() -> None:
 
 def test_a_spacing_replaces_the_ratio() -> None:
     """A spacing is sent without a ratio, and options of the surface by the service's names."""
-    params = build(
-        spacing=0.25, density="even", max_gap=2, viewpoint=[(0, 0, 1), (5, 0, 1)]
-    ).params
+    params = build(spacing=0.25, density="even", max_gap=2, viewpoint=[(0, 0, 1), (5, 0, 1)]).params
     assert params["spacing"] == "0.25"
     assert "R" not in params
     assert (params["density"], params["max_gap"]) == ("even", "2.0")

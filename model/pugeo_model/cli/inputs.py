@@ -49,7 +49,7 @@ def expand(arguments: Iterable[Path], beside: Path | None = None) -> list[Found]
 
 
 def is_pattern(argument: Path) -> bool:
-    """True if an argument is matched against file names: a wildcard in it, and no file of its name."""
+    """True if an argument has wildcards, and no file has this name."""
     return glob.has_magic(str(argument)) and not argument.exists()
 
 

@@ -80,17 +80,22 @@ def run_in_processes(
         """Do tasks until none waits or a process ends; returns those that were under way then."""
         running: dict[Future[Outcome], int] = {}
         lost: list[int] = []
+        broken = False
         pool = ProcessPoolExecutor(count, context, initializer=_start, initargs=(settings, parts))
         try:
-            while (waiting and not lost) or running:
-                while waiting and not lost and len(running) < count:
-                    number = waiting.popleft()
-                    running[pool.submit(_do, number, tasks[number])] = number
+            while (waiting and not broken) or running:
+                while waiting and not broken and len(running) < count:
+                    future = _submitted(pool, waiting[0], tasks[waiting[0]])
+                    if future is None:
+                        broken = True
+                    else:
+                        running[future] = waiting.popleft()
                 for future in wait(running, _POLL_S, FIRST_COMPLETED).done:
                     number = running.pop(future)
                     try:
                         outcome = future.result()
                     except BrokenProcessPool:
+                        broken = True
                         lost.append(number)
                     else:
                         parts[number] = 1.0
@@ -112,6 +117,14 @@ def run_in_processes(
         if (yield from some(deque([number]), 1)):
             parts[number] = 1.0
             yield _lost(tasks[number])
+
+
+def _submitted(pool: ProcessPoolExecutor, number: int, task: Task) -> Future[Outcome] | None:
+    """The result to come of a task; ``None`` if a process has ended between two tasks."""
+    try:
+        return pool.submit(_do, number, task)
+    except BrokenProcessPool:
+        return None
 
 
 def _lost(task: Task) -> Outcome:

@@ -113,7 +113,8 @@ def upsample(
     )  # fmt: skip
     folder = folder_of(out, sources)
     tasks = make_tasks(expand(sources, folder), out, folder, format)
-    skipped, left = [], []
+    skipped: list[Task] = []
+    left: list[Task] = []
     for task in tasks:
         there = skip_existing and task.target is not None and task.target.exists()
         (skipped if there else left).append(task)

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.grid import rows_within, sort_into_grid
+from pugeo_model.geometry.grid import rows_within, sort_into_grid, thinned_grid
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.geometry.robust_quadric import (
     FIT,
@@ -34,7 +34,8 @@ _CROWD = 24  # places around a place that are compared
 _LLOYD_ROUNDS = 2
 _LARGEST_OFFSET = 0.5  # spacings of the centres from a centre to the nearest point
 _ROBUST_ROUNDS = 2
-_BUFFER = 8192  # points of a ball that are used at most
+_PER_CELL = 64  # points used of each half radius of a ball: some 1,000 of a ball
+_BUFFER = 2048  # points of a ball that are used at most
 _FEWEST = 8  # points needed for a fit
 _SMALLER, _SIZES = 0.7, 3  # factor of the next ball if a fit fails, and number of balls
 _FLAT = TUNING.surface_spread
@@ -50,13 +51,11 @@ class Centres:
         points: ``(C, 3)`` float64; points that represent only themselves lead, in order.
         of_point: ``(M,)`` int32 centre that represents each input point, or the nearest.
         count: ``(C,)`` int32 number of points that each represents.
-        noise: ``(C,)`` float64 mean noise of these along the normal.
     """
 
     points: NDArray[np.float64]
     of_point: NDArray[np.int32]
     count: NDArray[np.int32]
-    noise: NDArray[np.float64]
 
 
 def choose_centres(
@@ -83,9 +82,7 @@ def choose_centres(
     # The nearest centre may also be one of the single points.
     of_point[rest] = knn(cKDTree(centres), points[rest], 1)[1][:, 0]
     represented = np.bincount(of_point[~left_out], minlength=len(centres)).astype(np.int32)
-    noise_sum = np.bincount(of_point, scale.noise, len(centres))
-    members = np.maximum(np.bincount(of_point, minlength=len(centres)), 1)
-    return Centres(centres, of_point, represented, noise_sum / members)
+    return Centres(centres, of_point, represented)
 
 
 def _cell_means(
@@ -160,7 +157,7 @@ def _project(
         some = np.flatnonzero(level == step)
         # Slightly larger cells, so that rounding does not exclude points at the radius.
         size = float(radius.min() * 2.0 ** (float(step) / 2.0)) * (1.0 + 1e-9)
-        ball = sort_into_grid(points, size)
+        ball = thinned_grid(points, size, _PER_CELL)
         grid = (ball.low, ball.size, ball.keys, ball.order)
         _project_some(points, places, some, radius, noise, grid, moved)
     return moved

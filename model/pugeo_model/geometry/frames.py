@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pugeo_model.geometry.pca import cross, principal_axes
-from pugeo_model.geometry.quadric import QUADRIC, fit_quadric
+from pugeo_model.geometry.pca import principal_axes
+from pugeo_model.geometry.quadric import QUADRIC, fit_quadric, tilt
 from pugeo_model.tuning import TUNING
 
 __all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]
@@ -116,7 +116,7 @@ def _rough(points, neighbours, spacing, axes, quadric, residual):  # type: ignor
         _weigh(local, _SUPPORT, weights)
         principal_axes(local, weights, axes[i], system)
         residual[i] = fit_quadric(local, weights, axes[i], system, quadric[i])
-        _tilt(axes[i], quadric[i])
+        tilt(axes[i], quadric[i])
 
 
 @njit(cache=True, nogil=True)
@@ -130,7 +130,7 @@ def _fine(points, neighbours, spacing, support, axes, quadric, residual):  # typ
         _weigh(local, _SUPPORT, near)
         _weigh(local, support, weights)
         fit_quadric(local, weights, axes[i], system, quadric[i])
-        _tilt(axes[i], quadric[i])
+        tilt(axes[i], quadric[i])
         _fix_signs(local, near, axes[i])
         residual[i] = fit_quadric(local, weights, axes[i], system, quadric[i])
 
@@ -165,23 +165,6 @@ def _weigh(local, support, weights):  # type: ignore[no-untyped-def]
         z *= z
         z *= z
         weights[j] = z if x < _LARGEST_EXPONENT else 0.0
-
-
-@njit(cache=True, nogil=True)
-def _tilt(frame, quadric):  # type: ignore[no-untyped-def]
-    """Rotate a frame so that its normal is the normal of the fitted quadric at the point."""
-    length = 1.0 / np.sqrt(1.0 + quadric[1] * quadric[1] + quadric[2] * quadric[2])
-    along = 0.0
-    for a in range(3):
-        frame[2, a] = (frame[2, a] - quadric[1] * frame[0, a] - quadric[2] * frame[1, a]) * length
-        along += frame[0, a] * frame[2, a]
-    squared = 0.0
-    for a in range(3):
-        frame[0, a] -= along * frame[2, a]
-        squared += frame[0, a] * frame[0, a]
-    for a in range(3):
-        frame[0, a] /= np.sqrt(squared)
-    cross(frame, 2, 0, 1)
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -5,9 +5,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.geometry.pca import cross
 from pugeo_model.tuning import TUNING
 
-__all__ = ["QUADRIC", "fit_quadric", "solve"]
+__all__ = ["QUADRIC", "fit_quadric", "solve", "tilt"]
 
 QUADRIC = 6
 """Number of coefficients: ``h(u, v) = c0 + c1 u + c2 v + c3 u^2/2 + c4 u v + c5 v^2/2``."""
@@ -125,3 +126,21 @@ def solve(matrix, right):  # type: ignore[no-untyped-def]
         for m in range(i + 1, QUADRIC):
             total -= matrix[m, i] * right[m]
         right[i] = total * matrix[i, i]
+
+
+@njit(cache=True, nogil=True)
+def tilt(frame, quadric):  # type: ignore[no-untyped-def]
+    """Rotate a frame so that its normal is the normal of the fitted quadric at the point."""
+    length = 1.0 / np.sqrt(1.0 + quadric[1] * quadric[1] + quadric[2] * quadric[2])
+    along = 0.0
+    for a in range(3):
+        frame[2, a] = (frame[2, a] - quadric[1] * frame[0, a] - quadric[2] * frame[1, a]) * length
+        along += frame[0, a] * frame[2, a]
+    squared = 0.0
+    for a in range(3):
+        frame[0, a] -= along * frame[2, a]
+        squared += frame[0, a] * frame[0, a]
+    length = np.sqrt(max(squared, 1e-300))
+    for a in range(3):
+        frame[0, a] /= length
+    cross(frame, 2, 0, 1)

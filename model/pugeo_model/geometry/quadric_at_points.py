@@ -8,6 +8,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.areas import neighbour_mean
+from pugeo_model.geometry.neighbours import SPACING_NEIGHBOURS
+from pugeo_model.geometry.neighbours import spacing as mean_spacing
 from pugeo_model.geometry.robust_quadric import (
     FIT,
     FOOT,
@@ -28,7 +30,7 @@ __all__ = [
 ]
 
 _NEAREST = 24  # points of a fit
-_SPACING = 8  # nearest points whose mean distance is the spacing
+_BLOCK = 1 << 16  # points at a time, which bounds memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def quadrics_at(
         points: ``(M, 3)``.
         neighbours, distances: ``(n, k)`` of the nearest, in order.
     """
-    spacing = np.maximum(distances[:, :_SPACING].astype(np.float64).mean(axis=1), 1e-12)
+    spacing = np.maximum(mean_spacing(distances).astype(np.float64), 1e-12)
     thickness, flatness, normal, square = _fit_at(rows, points, neighbours, distances)
     direction = points[neighbours[:, 0]] - points[rows]
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
@@ -82,17 +84,22 @@ def are_stacked(near: QuadricsAtPoints, neighbours: NDArray[np.int32]) -> NDArra
         near: of all points.
         neighbours: ``(M, k)`` rows.
     """
-    tensor = np.einsum("ni,nj->nij", near.direction, near.direction)
-    for row in range(3):
-        for column in range(row, 3):
-            mean = neighbour_mean(tensor[:, row, column].copy(), neighbours, 1)
-            tensor[:, row, column] = tensor[:, column, row] = mean
-    values, vectors = np.linalg.eigh(tensor)
-    slope = np.abs(np.einsum("ni,ni->n", vectors[:, :, 2], near.normal))
+    rows, columns = np.triu_indices(3)
+    means = [
+        neighbour_mean(near.direction[:, row] * near.direction[:, column], neighbours, 1)
+        for row, column in zip(rows, columns, strict=True)
+    ]
+    order, slope = np.empty(len(neighbours)), np.empty(len(neighbours))
+    for start in range(0, len(neighbours), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        tensor = np.empty((len(order[part]), 3, 3))
+        for row, column, mean in zip(rows, columns, means, strict=True):
+            tensor[:, row, column] = tensor[:, column, row] = mean[part]
+        values, vectors = np.linalg.eigh(tensor)
+        order[part] = values[:, 2]
+        slope[part] = np.abs(np.einsum("ni,ni->n", vectors[:, :, 2], near.normal[part]))
     typical = ranked_neighbour(slope, neighbours, neighbours.shape[1] // 2)
-    stacked: NDArray[np.bool_] = (values[:, 2] > TUNING.stacked_order) & (
-        typical > TUNING.stacked_slope
-    )
+    stacked: NDArray[np.bool_] = (order > TUNING.stacked_order) & (typical > TUNING.stacked_slope)
     return stacked
 
 
@@ -121,8 +128,8 @@ def _fit_at(rows, points, neighbours, distances):  # type: ignore[no-untyped-def
         local[:, count] = 0.0
         fit_robust_quadric(local, 0, 0.0, axes, work, weights, heights, ball, out)
         spacing = 0.0
-        for j in range(_SPACING):
-            spacing += distances[i, min(j, count - 1)] / _SPACING
+        for j in range(SPACING_NEIGHBOURS):
+            spacing += distances[i, min(j, count - 1)] / SPACING_NEIGHBOURS
         thickness[i] = out[THICKNESS] * radius / max(spacing, 1e-300)
         flatness[i] = out[SPREAD_2] / max(out[SPREAD_1], 1e-300)
         normal[i, 0], normal[i, 1], normal[i, 2] = out[0], out[1], out[2]
@@ -194,8 +201,9 @@ def heights_over_neighbours(rows, points, neighbours):  # type: ignore[no-untype
     return height, thickness
 
 
-@njit(cache=True, nogil=True)
-def ranked_neighbour(values, neighbours, rank):  # type: ignore[no-untyped-def]
+def ranked_neighbour(
+    values: NDArray[np.float64], neighbours: NDArray[np.int32], rank: int
+) -> NDArray[np.float64]:
     """Return the value of a rank (0 is the least) among each point and its neighbours.
 
     Args:
@@ -206,12 +214,9 @@ def ranked_neighbour(values, neighbours, rank):  # type: ignore[no-untyped-def]
     Returns:
         ``(M,)`` float64.
     """
-    count = neighbours.shape[1] + 1
-    some = np.empty(count)
     out = np.empty(len(values))
-    for i in range(len(values)):
-        for j in range(count - 1):
-            some[j] = values[neighbours[i, j]]
-        some[count - 1] = values[i]
-        out[i] = np.partition(some, rank)[rank]
+    for start in range(0, len(values), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        around = np.concatenate([values[part, None], values[neighbours[part]]], axis=1)
+        out[part] = np.partition(around, rank, axis=1)[:, rank]
     return out

@@ -9,8 +9,8 @@ moving least squares, Fleishman, Cohen-Or and Silva 2005).
 import numpy as np
 from numba import njit
 
-from pugeo_model.geometry.pca import diagonalise
-from pugeo_model.geometry.quadric import QUADRIC, solve
+from pugeo_model.geometry.pca import cross, diagonalise
+from pugeo_model.geometry.quadric import QUADRIC, solve, tilt
 
 __all__ = [
     "FIT",
@@ -103,7 +103,7 @@ def fit_robust_quadric(local, rounds, noise, axes, work, weights, heights, ball,
     out[SPREAD_2] = np.sqrt(max(matrix[second, second], 0.0))
     for a in range(3):
         axes[0, a], axes[1, a] = vectors[a, first], vectors[a, second]
-    _complete(axes)
+    cross(axes, 0, 1, 2)
     for j in range(n):
         local[0, j] -= x
         local[1, j] -= y
@@ -119,7 +119,7 @@ def fit_robust_quadric(local, rounds, noise, axes, work, weights, heights, ball,
         solve(gram, q)
         if turn < rounds or rounds == 0:
             # Heights are measured along the normal, so the frame is tilted to it first.
-            _tilt(axes, q)
+            tilt(axes, q)
             _gram(local, weights, axes, gram, q)
             _regularise(gram, mass)
             solve(gram, q)
@@ -249,31 +249,3 @@ def _gram(local, weights, axes, gram, right):  # type: ignore[no-untyped-def]
     gram[4, 1], gram[4, 2] = gram[3, 2], gram[5, 1]
     gram[5, 3] = gram[4, 4]
     return gram[0, 0]
-
-
-@njit(cache=True, nogil=True)
-def _complete(axes):  # type: ignore[no-untyped-def]
-    """Set the third axis to the cross product of the other two."""
-    axes[2, 0] = axes[0, 1] * axes[1, 2] - axes[0, 2] * axes[1, 1]
-    axes[2, 1] = axes[0, 2] * axes[1, 0] - axes[0, 0] * axes[1, 2]
-    axes[2, 2] = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
-
-
-@njit(cache=True, nogil=True)
-def _tilt(axes, q):  # type: ignore[no-untyped-def]
-    """Turn the frame so that its third axis is the normal of the quadric at the mean."""
-    length = 1.0 / np.sqrt(1.0 + q[1] * q[1] + q[2] * q[2])
-    along = 0.0
-    for a in range(3):
-        axes[2, a] = (axes[2, a] - q[1] * axes[0, a] - q[2] * axes[1, a]) * length
-        along += axes[0, a] * axes[2, a]
-    squared = 0.0
-    for a in range(3):
-        axes[0, a] -= along * axes[2, a]
-        squared += axes[0, a] * axes[0, a]
-    size = np.sqrt(max(squared, _TINY))
-    for a in range(3):
-        axes[0, a] /= size
-    axes[1, 0] = axes[2, 1] * axes[0, 2] - axes[2, 2] * axes[0, 1]
-    axes[1, 1] = axes[2, 2] * axes[0, 0] - axes[2, 0] * axes[0, 2]
-    axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[2, 1] * axes[0, 0]

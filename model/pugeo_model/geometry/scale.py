@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.grid import rows_within, sort_into_grid
+from pugeo_model.geometry.grid import rows_within, sort_into_grid, thinned_grid
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.geometry.partition import partition
 from pugeo_model.geometry.quadric_at_points import are_stacked, quadrics_at, ranked_neighbour
@@ -37,7 +37,8 @@ _STEP = np.sqrt(2.0)
 _LARGEST_STEPS = 64.0  # spacings up to which a surface is searched
 _LARGEST = 0.1  # of the longest side of the cloud
 _FEWEST = 12  # points needed for a fit
-_BUFFER = 4096  # points of a ball that are used at most
+_PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
+_BUFFER = 1024  # points of a ball that are used at most
 _KNOWN = 0.2  # share of points with a scale from which theirs is handed on
 _HANDED_ON = 16  # points whose median scale is handed on
 _FLAT, _THIN, _BALL = TUNING.surface_spread, TUNING.thin_sheet, TUNING.scale_ball
@@ -131,7 +132,7 @@ def _search(
         active = left[(own[left] * _STEP <= size * 1.01) & (own[left] * _LARGEST_STEPS >= size)]
         if len(active):
             now, now_thickness = np.zeros(len(points)), np.zeros(len(points))
-            ball = sort_into_grid(points, _BALL * size)
+            ball = thinned_grid(points, _BALL * size, _PER_CELL)
             places = sort_into_grid(points[active], size)
             _fit_at_size(
                 points,

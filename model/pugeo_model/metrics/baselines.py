@@ -119,6 +119,7 @@ def poisson(cloud: Cloud, ratio: float) -> Cloud:
     assert sparse.normals is not None
     vertices, faces = reconstruct(sparse.points, sparse.normals)
     wanted = Options(ratio).points_out(len(sparse))
+    assert wanted is not None
     points = poisson_disk(vertices, faces, wanted, np.random.default_rng(0))
     _, face, _ = MeshDistance(vertices, faces).nearest(points)
     return Cloud(points, normals=face_normals(vertices, faces)[face].astype(np.float32))

@@ -15,7 +15,12 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.orient.signs import orient_along, row_dots
 from pugeo_model.tuning import TUNING
 
-__all__ = ["directions_to_stations", "orient_by_stations", "station_numbers"]
+__all__ = [
+    "directions_to_stations",
+    "directions_to_visible_stations",
+    "orient_by_stations",
+    "station_numbers",
+]
 
 _ROUNDS = 2
 _NUMBERS = ("scan", "station")  # names of scalars that hold the station of each point
@@ -41,28 +46,35 @@ def station_numbers(cloud: Cloud, count: int) -> NDArray[np.int64] | None:
 def directions_to_stations(
     points: NDArray[np.float64],
     stations: NDArray[np.float64],
-    station_of_point: NDArray[np.integer[Any]] | None,
-    spacing: float,
+    numbers: NDArray[np.integer[Any]],
 ) -> NDArray[np.float32]:
-    """Sum of the unit vectors from each point to the stations that saw it.
+    """Compute the unit vectors from each point to the station that recorded it, ``(M, 3)``.
 
     Args:
         points: ``(M, 3)``.
         stations: ``(k, 3)`` positions in the same frame.
-        station_of_point: ``(M,)`` station that recorded each point; ``None`` if unknown.
+        numbers: ``(M,)`` station of each point, ``0..k-1``.
+    """
+    return _unit(stations[numbers] - points).astype(np.float32)
+
+
+def directions_to_visible_stations(
+    points: NDArray[np.float64], stations: NDArray[np.float64], spacing: float
+) -> NDArray[np.float32]:
+    """Sum the unit vectors from each point to the stations that see it.
+
+    Args:
+        points: ``(M, 3)``.
+        stations: ``(k, 3)`` positions in the same frame.
         spacing: typical distance of neighbouring points.
 
     Returns:
-        ``(M, 3)``; zero for a point that no station saw.
+        ``(M, 3)``; zero for a point that no station sees.
     """
-    if station_of_point is not None:
-        offset = stations[np.clip(station_of_point, 0, len(stations) - 1)] - points
-        return _unit(offset).astype(np.float32)
     total = np.zeros((len(points), 3))
     for station in stations:
         offset = station - points
-        distance = np.linalg.norm(offset, axis=1)
-        seen = _in_front(-offset, distance, spacing)
+        seen = _in_front(-offset, np.linalg.norm(offset, axis=1), spacing)
         total[seen] += _unit(offset[seen])
     return total.astype(np.float32)
 
@@ -77,7 +89,7 @@ def orient_by_stations(
 
     Args:
         normals: ``(M, 3)`` float, unit length, of any sign.
-        directions: ``(M, 3)``, see `directions_to_stations`.
+        directions: ``(M, 3)``, see `directions_to_visible_stations`.
         neighbours: ``(M, k)`` rows near each point.
 
     Returns:

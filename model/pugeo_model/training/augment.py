@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.training.corpus import SIZES, Shape
 
-__all__ = ["Mix", "draw"]
+__all__ = ["Mix", "draw", "random_direction", "typical_spacing"]
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,11 @@ def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.f
         points = shape.pool[rng.choice(len(shape.pool), len(points), replace=False)]
         noise = rng.uniform(0.0, 0.15) if rng.random() < 0.5 else 0.0
     elif kind == 2:
-        along = points @ _direction(rng)
+        along = points @ random_direction(rng)
         rank = np.argsort(np.argsort(along)) / len(along)
         points = points[rng.random(len(points)) < 1.0 - 0.75 * rank]
     elif kind == 3:
-        along = (points - points[rng.integers(len(points))]) @ _direction(rng)
+        along = (points - points[rng.integers(len(points))]) @ random_direction(rng)
         kept = points[along > 0.0]
         points = kept if len(kept) > len(points) // 4 else points
     elif kind == 4:
@@ -85,12 +85,12 @@ def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.f
         noise = rng.uniform(0.0, 0.1)
     points = points.astype(np.float64)
     if noise:
-        noise *= _typical_spacing(points)
+        noise *= typical_spacing(points)
         points = points + rng.normal(0.0, noise, points.shape)
     return points, noise
 
 
-def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+def random_direction(rng: np.random.Generator) -> NDArray[np.float64]:
     """Random unit vector ``(3,)``."""
     vector = rng.normal(size=3)
     return vector / np.linalg.norm(vector)
@@ -98,7 +98,7 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Samples near equidistant planes, thinned, so that lines are denser along than across."""
-    height = pool @ _direction(rng).astype(np.float32)
+    height = pool @ random_direction(rng).astype(np.float32)
     # Bounded by the height, since no line might hit a thin shape otherwise.
     gap = min(rng.uniform(0.03, 0.06), float(np.ptp(height)) / 4.0)
     near = np.abs((height / gap) % 1.0 - 0.5) < 0.04
@@ -108,7 +108,7 @@ def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[
     return thinned
 
 
-def _typical_spacing(points: NDArray[np.float64]) -> float:
+def typical_spacing(points: NDArray[np.float64]) -> float:
     """Median spacing (mean distance to 8 neighbours) of about 200 of the points ``(M, 3)``."""
     distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
     return float(np.median(distance[:, 1:].mean(axis=1)))

@@ -7,13 +7,11 @@ and place; noise, steps and misplacement are fractions of the spacing of its poi
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.neighbours import knn
+from pugeo_model.training.augment import random_direction, typical_spacing
 from pugeo_model.training.corpus import Shape
 
 __all__ = ["SENSORS", "Scan", "Scene", "dense", "everywhere", "scan"]
@@ -93,16 +91,10 @@ class Scene:
         return seen
 
 
-def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
-    vector = rng.normal(size=3)
-    unit: NDArray[np.float64] = vector / np.linalg.norm(vector)
-    return unit
-
-
 def _axes(origin: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     """Rows: direction to the centre of the shape, and two perpendicular ones, randomly turned."""
     forward = -origin / np.linalg.norm(origin)
-    across = np.cross(forward, _direction(rng))
+    across = np.cross(forward, random_direction(rng))
     across /= np.linalg.norm(across)
     return np.stack([forward, across, np.cross(forward, across)])
 
@@ -124,7 +116,7 @@ def _fan(
 
 def _rings(scene: Scene, rng: np.random.Generator) -> Scan:
     """Scan of a spinning scanner: rings 2 to 8 times further apart than the points along them."""
-    origin = _direction(rng) * rng.uniform(1.2, 2.5)
+    origin = random_direction(rng) * rng.uniform(1.2, 2.5)
     far = float(np.linalg.norm(origin))
     spacing = rng.uniform(0.008, 0.022)  # root of the area a beam has
     uneven = rng.uniform(2.0, 8.0)
@@ -137,7 +129,7 @@ def _rings(scene: Scene, rng: np.random.Generator) -> Scan:
 
 def _depth(scene: Scene, rng: np.random.Generator) -> Scan:
     """Scan of a depth camera: pixels, depth in steps of disparity, noise before the steps."""
-    origin = _direction(rng) * rng.uniform(1.2, 2.2)
+    origin = random_direction(rng) * rng.uniform(1.2, 2.2)
     axes, far = _axes(origin, rng), float(np.linalg.norm(origin))
     spacing = rng.uniform(0.007, 0.018)
     side = np.arange(-0.65 / far, 0.65 / far, spacing / far)
@@ -171,7 +163,7 @@ def _stations(scene: Scene, rng: np.random.Generator) -> Scan:
     noise, off = rng.uniform(0.0, 0.12) * spacing, rng.uniform(0.0, 0.15) * spacing
     parts, origins = [], []
     for _ in range(int(rng.integers(2, 5))):
-        origin = _direction(rng) * rng.uniform(1.2, 2.5)
+        origin = random_direction(rng) * rng.uniform(1.2, 2.5)
         angle = float(spacing / np.linalg.norm(origin) * rng.uniform(0.7, 1.4))
         rays = _fan(origin, angle, angle, rng)
         rows, distance = scene.returns(origin, rays)
@@ -186,7 +178,7 @@ def _stations(scene: Scene, rng: np.random.Generator) -> Scan:
 
 def _strips(scene: Scene, rng: np.random.Generator) -> Scan:
     """Scan from the air: parallel lines in one strip or two, the second one too high."""
-    up = _direction(rng)
+    up = random_direction(rng)
     axes = _axes(up, rng)
     spacing, uneven = rng.uniform(0.008, 0.02), rng.uniform(1.5, 5.0)
     fine, wide = spacing / np.sqrt(uneven), spacing * np.sqrt(uneven)
@@ -222,7 +214,7 @@ def _photos(scene: Scene, rng: np.random.Generator) -> Scan:
     for _ in range(int(rng.integers(0, 4))):
         middle = points[rng.integers(len(points))]
         points = points[np.linalg.norm(points - middle, axis=1) > rng.uniform(0.01, 0.04)]
-    noise = rng.uniform(0.0, 0.3) * _typical(points)
+    noise = rng.uniform(0.0, 0.3) * typical_spacing(points)
     points = points + rng.normal(0.0, noise, points.shape)
     low, high = points.min(axis=0) - 0.02, points.max(axis=0) + 0.02
     stray = rng.uniform(low, high, (int(len(points) * rng.uniform(0.0, 0.015)), 3))
@@ -250,7 +242,7 @@ def _voxels(scene: Scene, rng: np.random.Generator) -> Scan:
 
 def _lattice(scene: Scene, rng: np.random.Generator) -> Scan:
     """Elevation model: a square grid from one side, with noise along the view."""
-    up = _direction(rng)
+    up = random_direction(rng)
     axes = _axes(up, rng)
     spacing = rng.uniform(0.009, 0.02)
     side = np.arange(-0.87, 0.87, spacing)
@@ -268,7 +260,7 @@ def dense(shape: Shape, rng: np.random.Generator) -> Scan:
     """Many random points with noise of up to two spacings."""
     count = int(rng.choice([8000, 16000, 32000, 50000]))
     points = shape.pool[rng.choice(len(shape.pool), count, replace=False)].astype(np.float64)
-    noise = min(rng.uniform(0.25, 2.0) * _typical(points), 0.012)
+    noise = min(rng.uniform(0.25, 2.0) * typical_spacing(points), 0.012)
     return Scan(points + rng.normal(0.0, noise, points.shape), noise, everywhere)
 
 
@@ -294,9 +286,3 @@ def scan(scene: Scene, rng: np.random.Generator) -> Scan | None:
 def everywhere(at: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return ``True`` for all surface points ``(n, 3)``."""
     return np.ones(len(at), dtype=np.bool_)
-
-
-def _typical(points: NDArray[Any]) -> float:
-    """Median spacing of a sample of the points."""
-    distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
-    return float(np.median(distance[:, 1:].mean(axis=1)))

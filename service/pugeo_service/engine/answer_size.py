@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pugeo_model.options import Options
     from pugeo_model.plan import Plan
 
-__all__ = ["check_answer", "check_memory"]
+__all__ = ["check_answer", "check_plan"]
 
 _NORMAL_BYTES = 12
 # A worker with the model takes 0.6 GB. For 122 MB of answer (2,000 points, 1,000 scalars, R=8,
@@ -29,31 +29,52 @@ _LEAST_BYTES = 32 << 20
 
 
 def check_answer(size: Declared, options: Options, request: RunRequest) -> None:
-    """Refuse an answer with too many points or bytes.
+    """Refuse an answer with too many points or bytes, as far as options and input decide on them.
 
     Args:
         size: of the input, by its header or as it was read.
-        options: decide on the number of points of the answer.
+        options: decide on the number of points of the answer; with ``spacing`` the plan does.
         request: has the bounds.
 
     Raises:
         LimitExceededError: it would exceed ``max_output_points`` or ``max_output_bytes``.
     """
     points = options.points_out(size.points)
+    if points is not None:
+        _check(points, size.row_bytes, request, "Lower R")
+
+
+def check_plan(plan: Plan, request: RunRequest, *, in_parts: bool) -> None:
+    """Refuse an answer that is too large, or that no worker has the memory to make.
+
+    Args:
+        plan: of the run.
+        request: has the bounds and the memory of a worker.
+        in_parts: the answer is written tile by tile.
+
+    Raises:
+        LimitExceededError: it would exceed a bound.
+    """
+    change = "Lower R" if plan.options.spacing is None else "Ask for a wider spacing"
+    _check(plan.n_out, plan.cloud.row_bytes, request, change)
+    _check_memory(plan, request, change, in_parts=in_parts)
+
+
+def _check(points: int, row_bytes: int, request: RunRequest, change: str) -> None:
     if points > request.max_output_points:
         raise LimitExceededError(
             f"The answer would have {points:,} points; the limit is "
-            f"{request.max_output_points:,}. Lower R.",
+            f"{request.max_output_points:,}. {change}.",
             code="too_many_output_points",
             name="max_output_points",
             limit=request.max_output_points,
             value=points,
         )
-    row = size.row_bytes + _NORMAL_BYTES
+    row = row_bytes + _NORMAL_BYTES
     if points * row > request.max_output_bytes:
         raise LimitExceededError(
             f"The answer would have {points * row:,} bytes, {points:,} points of {row:,}; the "
-            f"limit is {request.max_output_bytes:,}. Lower R, or send fewer attributes.",
+            f"limit is {request.max_output_bytes:,}. {change}, or send fewer attributes.",
             code="too_many_output_bytes",
             name="max_output_bytes",
             limit=request.max_output_bytes,
@@ -61,17 +82,7 @@ def check_answer(size: Declared, options: Options, request: RunRequest) -> None:
         )
 
 
-def check_memory(plan: Plan, request: RunRequest, *, in_parts: bool) -> None:
-    """Refuse an answer that no worker has the memory to make.
-
-    Args:
-        plan: of the run.
-        request: has the memory of a worker.
-        in_parts: the answer is written tile by tile.
-
-    Raises:
-        LimitExceededError: a worker would need more than it has.
-    """
+def _check_memory(plan: Plan, request: RunRequest, change: str, *, in_parts: bool) -> None:
     if request.worker_bytes is None:
         return
     row = plan.cloud.row_bytes + _NORMAL_BYTES
@@ -82,8 +93,8 @@ def check_memory(plan: Plan, request: RunRequest, *, in_parts: bool) -> None:
     if held > limit:
         raise LimitExceededError(
             f"The answer of {plan.n_out:,} points of {row:,} bytes has {held:,} bytes to hold at "
-            f"one time; a worker of {request.worker_bytes:,} bytes has room for {limit:,}. Lower "
-            "R, or send fewer attributes.",
+            f"one time; a worker of {request.worker_bytes:,} bytes has room for {limit:,}. "
+            f"{change}, or send fewer attributes.",
             code="too_much_memory",
             name="worker_memory",
             limit=limit,

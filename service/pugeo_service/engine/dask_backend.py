@@ -331,7 +331,8 @@ class DaskBackend:
     def _processes(self) -> set[psutil.Process]:
         """Return our own worker processes, also those that are starting."""
         found: set[psutil.Process] = set()
-        for nanny in [] if self._cluster is None else list(self._cluster._created):
+        created = [] if self._cluster is None else self._cluster._created  # noqa: SLF001
+        for nanny in list(created):
             process = nanny.process and nanny.process.process
             with contextlib.suppress(psutil.Error):
                 if process is not None and process.pid is not None:

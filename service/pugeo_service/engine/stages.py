@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pugeo_service.engine.answer_size import check_answer, check_memory
+from pugeo_service.engine.answer_size import check_answer, check_plan
 from pugeo_service.engine.backend import quick
 from pugeo_service.engine.messages import DenseInfo, PreparedInfo, RunRequest
 from pugeo_service.engine.output_stages import describe_output, written
@@ -93,7 +93,7 @@ def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
     with times.measure("prepare"):
         plan = make_plan(cloud, options, patch_ratio=load_model(request.model).patch_ratio)
     by_rows = plan.tiles_in_order and formats.by_rows(plan.cloud, request.answer)
-    check_memory(plan, request, in_parts=by_rows and len(plan.tile_specs) > 1)
+    check_plan(plan, request, in_parts=by_rows and len(plan.tile_specs) > 1)
     if len(plan.tile_specs) > 1:
         return Prepared(plan, None, times.seconds, by_rows)
     if plan.report["patches"] <= request.one_task_patches:

@@ -8,8 +8,6 @@ dropped. A client that does not read its response, or does not finish a refused 
 import array
 import asyncio
 import contextlib
-import fcntl
-import termios
 from collections.abc import Callable, MutableMapping
 from typing import Any, cast
 
@@ -118,6 +116,9 @@ def _queued(transport: asyncio.Transport) -> int:
     connection = transport.get_extra_info("socket")
     count = array.array("i", [0])
     # A system without this count reports none; then only the transport's buffer shows progress.
-    with contextlib.suppress(OSError, AttributeError, ValueError):
+    with contextlib.suppress(ImportError, OSError, AttributeError, ValueError):
+        import fcntl
+        import termios
+
         fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, count)
     return count[0]

@@ -10,10 +10,11 @@ import pytest
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import LimitExceededError
+from pugeo_model.formats import Declared
 from pugeo_model.options import Options
 from pugeo_model.plan import make_plan
 from pugeo_service.engine import stages
-from pugeo_service.engine.answer_size import check_memory
+from pugeo_service.engine.answer_size import check_answer, check_plan
 from pugeo_service.runs import make_run_request
 from pugeo_service.settings import Settings
 
@@ -71,9 +72,25 @@ def test_an_answer_must_fit_into_a_worker() -> None:
     cloud = Cloud(rng.normal(size=(500, 3)), scalars=scalars)
     plan = make_plan(cloud, Options(ratio=32.0))
     answer = 16_000 * (24 + 500 * 8 + 12)
-    check_memory(plan, replace(REQUEST, worker_bytes=2 << 30), in_parts=False)
-    check_memory(plan, REQUEST, in_parts=False)
+    check_plan(plan, replace(REQUEST, worker_bytes=2 << 30), in_parts=False)
+    check_plan(plan, REQUEST, in_parts=False)
     with pytest.raises(LimitExceededError) as caught:
-        check_memory(plan, replace(REQUEST, worker_bytes=1 << 30), in_parts=False)
+        check_plan(plan, replace(REQUEST, worker_bytes=1 << 30), in_parts=False)
     assert caught.value.code == "too_much_memory"
     assert (caught.value.fields["name"], caught.value.fields["value"]) == ("worker_memory", answer)
+
+
+def test_points_of_a_spacing_are_counted_by_the_plan() -> None:
+    """With a spacing the number of points follows from the surface: few of many are no excess."""
+    plane = np.column_stack([*np.random.default_rng(0).random((2, 2000)), np.zeros(2000)])
+    size = Declared(2000, 24)
+    wide, fine = Options(spacing=0.05), Options(spacing=0.008)
+    request = replace(REQUEST, max_output_points=2000)
+    check_answer(size, wide, request)
+    check_answer(size, fine, request)
+    few = make_plan(Cloud(plane), wide)
+    assert few.n_out < 1000
+    check_plan(few, request, in_parts=False)
+    with pytest.raises(LimitExceededError, match="wider spacing") as caught:
+        check_plan(make_plan(Cloud(plane), fine), request, in_parts=False)
+    assert caught.value.code == "too_many_output_points"

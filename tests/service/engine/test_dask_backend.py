@@ -17,6 +17,7 @@ import pytest
 from distributed.batched import BatchedSend
 from distributed.spans import Span
 from tests.service.engine import light_stages as light
+from tests.service.engine.light_tasks import known, submit, until, until_quick, warm
 
 from pugeo_model.errors import MalformedFileError
 from pugeo_service.engine import dask_backend
@@ -65,51 +66,6 @@ def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) ->
             yield lambda scenario: in_background(scenario(backend))
         finally:
             in_background(backend.stop())
-
-
-def submit(
-    backend: DaskBackend,
-    stage: Any,
-    *args: Any,
-    priority: float = 0,
-    seconds: float = 60,
-    patches: int = 0,
-) -> Any:
-    """Submit with defaults."""
-    return backend.submit(
-        stage, *args, priority=priority, seconds=seconds, long=False, patches=patches
-    )
-
-
-def known(backend: DaskBackend, handles: list[Any]) -> int:
-    """Number of these tasks that the scheduler has."""
-    tasks = backend._cluster.scheduler.tasks
-    return sum(handle.key in tasks for handle in handles)
-
-
-async def until_quick(backend: DaskBackend) -> None:
-    """Wait until quick stages run beside another: a new worker has one thread at first."""
-    handles: list[Any] = []
-
-    def check() -> bool:
-        handles.append(submit(backend, light.add_quickly, 1, 1))
-        return any(handle.done() for handle in handles)
-
-    await until(check)
-
-
-async def warm(backend: DaskBackend, count: int) -> None:
-    """Wait until there are so many workers."""
-    await until(lambda: backend.warm_workers == count)
-
-
-async def until(check: Callable[[], bool], seconds: float = 100.0) -> None:
-    """Wait until a condition holds."""
-    for _ in range(int(seconds / 0.05)):
-        if check():
-            return
-        await asyncio.sleep(0.05)
-    pytest.fail(f"not true after {seconds:g} s")
 
 
 def test_results_feed_tasks(play: Play) -> None:
