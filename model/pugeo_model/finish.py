@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from pugeo_model.attributes import transfer_attributes
 from pugeo_model.cloud import Cloud
+from pugeo_model.geometry.neighbours import knn
 from pugeo_model.normalise import Normalisation
 from pugeo_model.orient.across_tiles import TileSigns
 from pugeo_model.orient.dense import orient_dense
@@ -73,7 +75,7 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
     elif not tile.keeps_input and (tile.noisy is not None or tile.input is not None):
         projected = replace(projected, points=_spread_evenly(prepared, projected))
-    projected = _within_bounds(prepared, projected)
+    projected, room = _within_bounds(prepared, projected)
     normals, signs, parts = _oriented(prepared, projected)
     places = prepared.points if tile.input is None else tile.input.points
     source = replace(prepared.cloud, points=places)
@@ -89,7 +91,9 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     )
     if tile.keeps_input and not tile.moves_input:
         dense.points[: tile.kept] = tile.cloud.points[: tile.kept]
-    border = Border(signs, None if prepared.core.all() else _border_points(prepared, projected))
+    border = Border(
+        signs, None if prepared.core.all() else _border_points(prepared, projected, room)
+    )
     return UpsampledTile(dense, parts, border, prepared.noise, tile.normalisation)
 
 
@@ -115,8 +119,17 @@ def _spread_evenly(prepared: PreparedTile, projected: Projected) -> NDArray[np.f
     )
 
 
-def _within_bounds(prepared: PreparedTile, projected: Projected) -> Projected:
-    """Move points that are too far from the input to the largest distance; kept ones stay."""
+def _within_bounds(
+    prepared: PreparedTile, projected: Projected
+) -> tuple[Projected, NDArray[np.float64]]:
+    """Move points that are too far from the input to the largest distance; kept ones stay.
+
+    Returns:
+        The points, and by how much each may move before it is too far, ``(K,)``.
+    """
+    kept = 0
+    if prepared.tile.keeps_input and not prepared.tile.moves_input:
+        kept = prepared.tile.kept
     limit, nearest = distance_bounds(
         projected.points,
         projected.normals,
@@ -127,17 +140,37 @@ def _within_bounds(prepared: PreparedTile, projected: Projected) -> Projected:
         prepared.tile.max_gap,
         shadows=False,
     )
-    offset = projected.points - prepared.points[nearest]
+    points, room = _moved_within(projected.points, prepared.points[nearest], limit, kept)
+    tile = prepared.tile
+    if tile.max_gap is not None and (tile.input is not None or tile.noisy is not None):
+        # Charts of a noisy scan lie between its points: the gap is to the points themselves.
+        places = tile.normalisation.unit(tile.cloud.points)
+        places = places[knn(cKDTree(places), points, 1)[1][:, 0]]
+        gap = np.full(len(points), tile.max_gap)
+        points, less = _moved_within(points, places, gap, kept)
+        room = np.minimum(room, less)
+    return replace(projected, points=points), room
+
+
+def _moved_within(
+    points: NDArray[np.float64],
+    places: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    kept: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Move points ``(K, 3)`` towards ``places`` where they are further away than ``limit``.
+
+    Returns:
+        The points, of which the ``kept`` leading ones stay, and what is left of the limit, >= 0.
+    """
+    offset = points - places
     distance = np.linalg.norm(offset, axis=1)
     far = distance > limit
-    if prepared.tile.keeps_input and not prepared.tile.moves_input:
-        far[: prepared.tile.kept] = False
-    if not far.any():
-        return projected
-    points = projected.points.copy()
-    shrink = (limit[far] / distance[far])[:, None]
-    points[far] = prepared.points[nearest[far]] + offset[far] * shrink
-    return replace(projected, points=points)
+    far[:kept] = False
+    if far.any():
+        points = points.copy()
+        points[far] = places[far] + offset[far] * (limit[far] / distance[far])[:, None]
+    return points, np.maximum(limit - distance, 0.0)
 
 
 def _oriented(
@@ -167,7 +200,7 @@ def _oriented(
         return transfer_signs(projected.normals, projected.nearest, oriented), None, None
     if tile.orient == "viewpoint":
         assert tile.viewpoint is not None
-        place = np.asarray(tile.normalisation.unit(tile.viewpoint))
+        place = tile.normalisation.unit(tile.viewpoint)
         normals = orient_along(projected.normals, place - projected.points)
     elif tile.orient == "outward":
         normals = orient_along(projected.normals, projected.points - tile.centroid)
@@ -188,7 +221,9 @@ def _given_normals(prepared: PreparedTile) -> NDArray[np.float32]:
     return np.stack(sums, axis=1).astype(np.float32)
 
 
-def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints:
+def _border_points(
+    prepared: PreparedTile, projected: Projected, room: NDArray[np.float64]
+) -> BorderPoints:
     """Output points whose nearest input point has a neighbour in another tile."""
     tile = prepared.tile
     near_core = prepared.core[prepared.neighbours]
@@ -201,5 +236,10 @@ def _border_points(prepared: PreparedTile, projected: Projected) -> BorderPoints
     close = near_core[:, : TUNING.orientation_neighbours].all(axis=1)
     outermost = ~(prepared.core & close)[owner]
     return BorderPoints(
-        rows.astype(np.int32), projected.points[rows], projected.normals[rows], radius, outermost
+        rows.astype(np.int32),
+        projected.points[rows],
+        projected.normals[rows],
+        radius,
+        outermost,
+        room[rows],
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pugeo_model.errors import UntreatableCloudError
 
@@ -32,10 +32,10 @@ class Normalisation:
     scale: float
     dtype: Any
 
-    def unit(self, point: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Transform a point from the cloud's own frame to the unit frame."""
-        x, y, z = (np.asarray(point, np.float64) - self.offset) / self.scale
-        return float(x), float(y), float(z)
+    def unit(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Transform points ``(K, 3)`` or ``(3,)`` from the cloud's own frame to the unit frame."""
+        unit: NDArray[np.float64] = (np.asarray(points, np.float64) - self.offset) / self.scale
+        return unit
 
     def world(self, points: NDArray[np.float64]) -> NDArray[Any]:
         """Transform points ``(K, 3)`` to the cloud's own frame and dtype."""

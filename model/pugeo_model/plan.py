@@ -85,7 +85,8 @@ class Plan:
     @property
     def tiles_in_order(self) -> bool:
         """True if the output is the points of the tiles, one after the other."""
-        return len(self.tile_specs) == 1 or not self.keeps_input
+        in_order = len(self.tile_specs) == 1 and self.input is None
+        return in_order or not self.keeps_input
 
     def input_rows(self, spec: TileSpec) -> NDArray[np.int32]:
         """Rows of the cleaned cloud behind the core of a tile, in the order of its output."""
@@ -320,7 +321,7 @@ def _sights(
     stations: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """Directions from the charts to the stations that saw them, ``(M, 3)``."""
-    places = (stations - normalisation.offset) / normalisation.scale
+    places = normalisation.unit(stations)
     number = station_numbers(cloud, len(stations))
     if number is None:
         typical = float(np.median(spacing(nearest(points, SPACING_NEIGHBOURS)[0])))

@@ -105,3 +105,18 @@ def test_tiles_give_all_points(quiet, sphere):
     assert len(cloud.points) == 8000
     octants = (cloud.points > 0) @ [1, 2, 4]
     np.testing.assert_allclose(np.bincount(octants) / len(octants), 1 / 8, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"density": "even"}, "density"),
+        ({"spacing": 0.1}, "spacing"),
+        ({"max_gap": 0.1}, "max_gap"),
+        ({"ratio": 1.0, "denoise": True}, "denoise"),
+    ],
+)
+def test_options_that_need_charts_are_refused(quiet, sphere, options, name):
+    """Such a network has no charts: options that need them say so."""
+    with pytest.raises(BadOptionError, match=f"{name} must be left out: this network upsamples"):
+        quiet(Cloud(sphere), **options)

@@ -30,6 +30,7 @@ class BorderPoints:
         normals: ``(k, 3)`` float32, unit length.
         radius: ``(k,)`` float64 packing radius; 0 for points that must not move.
         outermost: ``(k,)`` bool, points whose nearest point may belong to another tile.
+        room: ``(k,)`` float64 by which a point may move and still be near enough to the input.
     """
 
     rows: NDArray[np.int32]
@@ -37,6 +38,7 @@ class BorderPoints:
     normals: NDArray[np.float32]
     radius: NDArray[np.float64]
     outermost: NDArray[np.bool_]
+    room: NDArray[np.float64]
 
 
 def separate(borders: Sequence[BorderPoints]) -> list[NDArray[np.float64]]:
@@ -50,16 +52,19 @@ def separate(borders: Sequence[BorderPoints]) -> list[NDArray[np.float64]]:
     """
     if not borders:
         return []
-    points, normals, radius, outermost = (
+    points, normals, radius, outermost, room = (
         np.concatenate([getattr(border, name) for border in borders])
-        for name in ("points", "normals", "radius", "outermost")
+        for name in ("points", "normals", "radius", "outermost", "room")
     )
     sizes = [len(border.points) for border in borders]
     if len(points) > 1:
         tile = np.repeat(np.arange(len(borders)), sizes)
         rows, push, lists = _too_close(points, radius, tile, np.flatnonzero(outermost))
         if len(rows):
-            points[rows] = repel(points[rows], normals[rows], lists, push, TUNING.repulsion_rounds)
+            moved = repel(points[rows], normals[rows], lists, push, TUNING.repulsion_rounds)
+            offset = moved - points[rows]
+            length = np.maximum(np.linalg.norm(offset, axis=1), 1e-300)
+            points[rows] += offset * np.minimum(1.0, room[rows] / length)[:, None]
     return np.split(points, np.cumsum(sizes)[:-1])
 
 

@@ -18,13 +18,14 @@ def halves():
     return [points[left], points[~left]]
 
 
-def border(points, fixed=()):
-    """Border points with radius 1; those in ``fixed`` are not moved."""
+def border(points, fixed=(), room=np.inf):
+    """Border points with radius 1 that may move by ``room``; those in ``fixed`` are not moved."""
     radius = np.ones(len(points))
     radius[list(fixed)] = 0.0
     normals = np.broadcast_to(NORMAL, points.shape).astype(np.float32)
     outermost = np.ones(len(points), dtype=np.bool_)
-    return BorderPoints(np.arange(len(points), dtype=np.int32), points, normals, radius, outermost)
+    rows = np.arange(len(points), dtype=np.int32)
+    return BorderPoints(rows, points, normals, radius, outermost, np.full(len(points), room))
 
 
 def closest(points):
@@ -50,6 +51,17 @@ def test_nearly_coincident_points_are_separated(halves):
     assert np.abs(together[:, 2]).max() == 0.0
     far = np.linalg.norm(left - point, axis=1) > 2.0
     np.testing.assert_array_equal(moved[0][far], left[far])
+
+
+def test_no_point_moves_beyond_its_room(halves):
+    """Points are pushed apart, but by no more than keeps them near the input."""
+    left, right = halves
+    point = right[np.argmin(np.linalg.norm(right - [10.0, 9.0, 0.0], axis=1))] + [0.02, 0.01, 0.0]
+    left = np.append(left, [point], axis=0)
+    moved = separate([border(left, room=0.1), border(right, room=0.0)])
+    np.testing.assert_array_equal(moved[1], right)
+    steps = np.linalg.norm(moved[0] - left, axis=1)
+    np.testing.assert_allclose(steps.max(), 0.1)
 
 
 def test_kept_input_points_are_fixed(halves):
