@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
+from pugeo_model.options import Options
+from pugeo_model.plan import make_plan
 from pugeo_model.upsampler import Upsampler
 
 __all__ = ["CASES", "FILE", "digest", "platform"]
@@ -45,6 +47,13 @@ def _torus(count: int) -> Array:
 def _noisy(count: int) -> Array:
     """Points of the sphere with Gaussian noise of 2 % of its radius."""
     return _sphere(count) + np.random.default_rng(2).normal(size=(count, 3)) * 0.02
+
+
+def _frames(count: int, frames: int) -> Array:
+    """Stacked frames of the sphere, each with noise of 3 % of its radius."""
+    return np.concatenate([_sphere(count)] * frames) + np.random.default_rng(5).normal(
+        size=(count * frames, 3), scale=0.03
+    )
 
 
 def _ground(side: int) -> Array:
@@ -89,10 +98,14 @@ CASES: dict[str, tuple[Callable[[], Cloud], dict[str, Any]]] = {
     "noise": (lambda: Cloud(_noisy(3000)), {"ratio": 4}),
     "noise kept": (lambda: Cloud(_noisy(1500)), {"ratio": 2, "keep_input": True}),
     "eight patches": (lambda: Cloud(_torus(16000)), {"ratio": 4}),
-    "two tiles": (lambda: Cloud(_ground(200)), {"ratio": 8, "viewpoint": (5e5, 4e6, 1e4)}),
-    "two noisy tiles": (lambda: Cloud(_noisy(40000)), {"ratio": 8}),
-    "two tiles, input kept": (lambda: Cloud(_ground(200)), {"ratio": 8, "keep_input": True}),
+    "two tiles": (lambda: Cloud(_ground(80)), {"ratio": 8, "viewpoint": (5e5, 4e6, 1e4)}),
+    "two noisy tiles": (lambda: Cloud(_noisy(6000)), {"ratio": 8}),
+    "two tiles, input kept": (lambda: Cloud(_ground(80)), {"ratio": 8, "keep_input": True}),
+    "averaged": (lambda: Cloud(_frames(1500, 12)), {"ratio": 2, "density": "even"}),
+    "denoised": (lambda: Cloud(_frames(1500, 12)), {"ratio": 1, "denoise": True}),
 }
+_TILE = 4000  # points of the core of a tile at most; the other cases have fewer, or one tile
+_WHOLE = ("eight patches",)
 MODELS = ("standard", "fast")
 
 
@@ -111,7 +124,8 @@ def platform() -> str:
 def digest(upsampler: Upsampler, case: str) -> str:
     """The SHA-256 of everything that a case's answer holds."""
     make, options = CASES[case]
-    cloud = upsampler(make(), **options).cloud
+    plan = make_plan(make(), Options(**options), None if case in _WHOLE else _TILE)
+    cloud = upsampler.upsample(plan).cloud
     hashed = hashlib.sha256()
     named = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
     for name, values in {**named, **cloud.scalars}.items():

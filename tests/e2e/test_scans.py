@@ -56,7 +56,7 @@ def office() -> Cloud:
     "scan",
     [
         kitti,
-        laurana,
+        pytest.param(laurana, marks=pytest.mark.long),
         pytest.param(autzen, marks=pytest.mark.long),
         pytest.param(office, marks=pytest.mark.long),
     ],

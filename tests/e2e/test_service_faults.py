@@ -41,7 +41,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(1000), ball(200_000)
+SMALL, LARGE = ball(1000), ball(80_000)
 
 
 class Call(threading.Thread):
@@ -92,7 +92,7 @@ def test_a_killed_worker_costs_a_retry(server: Server) -> None:
         server.workers()[0].kill()
     response = call.answer()
     assert response.status_code == 200, response.text
-    assert response.headers["pugeo-points-out"] == "400000"
+    assert response.headers["pugeo-points-out"] == "160000"
     eventually(lambda: server.metric('pugeo_worker_restarts_total{reason="lost"}') == lost + 1)
     eventually(lambda: server.metric('pugeo_workers{state="warm"}') == 2)
 

@@ -30,7 +30,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(120_000)
+SMALL, LARGE = ball(3000), ball(80_000)
 
 
 def bearer(name: str) -> dict[str, str]:
@@ -59,7 +59,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
     """Shares of owners, rotation of keys, and refusal of deadlines that cannot be met."""
     path = tmp_path / "keys"
     write_keys(path, "ann")
-    options = ["--engine", "inline", "--queue-patches", "100", "--metrics-port", "0"]
+    options = ["--engine", "inline", "--queue-patches", "60", "--metrics-port", "0"]
     options += ["--api-keys-file", str(path)]
     with launch(*options) as server:
         server.wait_until_ready()

@@ -20,9 +20,9 @@ upsampler = functools.cache(Upsampler)
 
 
 def cases() -> list[Any]:
-    """Model and case of each test; every second case of the model ``fast`` is a long test."""
+    """Model and case of each test; most cases of the model ``fast`` are long tests."""
     return [
-        pytest.param(model, case, marks=[pytest.mark.long] if model == "fast" and n % 2 else [])
+        pytest.param(model, case, marks=[pytest.mark.long] if model == "fast" and n % 4 else [])
         for model in MODELS
         for n, case in enumerate(CASES)
     ]

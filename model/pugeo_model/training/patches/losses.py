@@ -9,9 +9,12 @@ The paper prints sums over points in the normal losses and a mean in the Chamfer
 are taken in all three, so that their weights 100, 1, 1 do not depend on N and R.
 """
 
+import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from pugeo_model.geometry.neighbours import knn
 from pugeo_model.network.patch_networks.output import PatchOutput
 from pugeo_model.training.patches.settings import PatchWeights
 
@@ -28,6 +31,19 @@ def _take(values: Tensor, rows: Tensor) -> Tensor:
     return values.gather(1, rows.unsqueeze(-1).expand(-1, -1, 3))
 
 
+def _nearest(points: Tensor, others: Tensor, count: int) -> Tensor:
+    """Rows of the ``count`` nearest of ``others`` ``(B, m, 3)`` to each point, ``(B, n, count)``.
+
+    Trees are faster than all distances from some hundred points on, and need no memory for them.
+    """
+    # A tree takes no infinite values; a step whose gradient is not finite is left out later.
+    queries, places = (
+        torch.nan_to_num(each.detach(), 0.0, 0.0, 0.0).numpy() for each in (points, others)
+    )
+    rows = [knn(cKDTree(b), a, count)[1] for a, b in zip(queries, places, strict=True)]
+    return torch.from_numpy(np.stack(rows).astype(np.int64))
+
+
 def chamfer(points: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
     """L_CD: the sum of both mean distances (not squared) to the nearest point of the other set.
 
@@ -38,10 +54,7 @@ def chamfer(points: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         The scalar, and the row of the nearest true point ``phi`` of each prediction, ``(B, n)``.
     """
-    with torch.no_grad():
-        squared = points.square().sum(-1).unsqueeze(2) + truth.square().sum(-1).unsqueeze(1)
-        apart = torch.baddbmm(squared, points, truth.mT, alpha=-2.0)
-        phi, psi = apart.argmin(dim=2), apart.argmin(dim=1)
+    phi, psi = _nearest(points, truth, 1)[..., 0], _nearest(truth, points, 1)[..., 0]
     there = _length(points - _take(truth, phi)).mean()
     back = _length(truth - _take(points, psi)).mean()
     return there + back, phi
@@ -61,9 +74,7 @@ def repulsion(points: Tensor, neighbours: int = 5, reach: float = 0.03) -> Tenso
         neighbours: nearest points of each that push.
         reach: h, in patch radii.
     """
-    with torch.no_grad():
-        apart = torch.cdist(points, points)
-        near = apart.topk(min(neighbours, len(apart[0])), dim=-1, largest=False).indices[..., 1:]
+    near = _nearest(points, points, min(neighbours, points.shape[1]))[..., 1:]
     others = _take(points, near.flatten(1)).unflatten(1, near.shape[1:])
     apart = _length(points.unsqueeze(2) - others)
     return (-apart * torch.exp(-apart.square() / reach**2)).mean()
