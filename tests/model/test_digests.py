@@ -3,7 +3,6 @@
 
 import functools
 import json
-from typing import Any
 
 import pytest
 
@@ -19,16 +18,8 @@ upsampler = functools.cache(Upsampler)
 """The upsampler of a model, made once."""
 
 
-def cases() -> list[Any]:
-    """Model and case of each test; most cases of the model ``fast`` are long tests."""
-    return [
-        pytest.param(model, case, marks=[pytest.mark.long] if model == "fast" and n % 4 else [])
-        for model in MODELS
-        for n, case in enumerate(CASES)
-    ]
-
-
-@pytest.mark.parametrize(("model", "case"), cases())
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("model", MODELS)
 def test_answers_stay_the_same_bytes(model: str, case: str) -> None:
     """A recorded case gives the recorded bytes."""
     recorded = json.loads(FILE.read_text("utf-8")).get(platform())
