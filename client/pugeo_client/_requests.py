@@ -140,6 +140,8 @@ class Options(TypedDict, total=False):
             a ratio; means density ``even``.
         max_gap: largest distance of an output point from the input, in the units of the cloud.
         denoise: with ratio 1, the input points are moved onto the surface.
+        confidence: the answer has the scalar ``expected_error``: the distance from the true surface
+            that is expected of each point, in the units of the cloud.
     """
 
     R: float | None
@@ -152,6 +154,7 @@ class Options(TypedDict, total=False):
     spacing: float | None
     max_gap: float | None
     denoise: bool
+    confidence: bool
 
 
 def upsample_request(
@@ -169,6 +172,7 @@ def upsample_request(
     spacing: float | None = None,
     max_gap: float | None = None,
     denoise: bool = False,
+    confidence: bool = False,
 ) -> Request:
     """Build ``POST /upsample``.
 
@@ -184,7 +188,7 @@ def upsample_request(
     """
     params = {"orient": str(orient), "seed": str(_whole("seed", seed)), "format": format}
     params |= _number_of_points(ratio, R, n_points, spacing)
-    switches = {"keep_input": keep_input, "denoise": denoise}
+    switches = {"keep_input": keep_input, "denoise": denoise, "confidence": confidence}
     params |= {name: "true" for name, value in switches.items() if value}
     if density != "input":
         params["density"] = str(density)

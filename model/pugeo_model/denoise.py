@@ -31,9 +31,13 @@ def input_is_exact(prepared: PreparedTile, projected: NDArray[np.float64]) -> bo
         prepared: the tile.
         projected: ``(charted, 3)`` float64, its charted points after projection, unit scale.
     """
-    count = len(projected)
+    return _median_move(prepared, projected) < TUNING.exact_input_move
+
+
+def _median_move(prepared: PreparedTile, projected: NDArray[np.float64]) -> float:
+    """Median distance of charted points from their projections ``(charted, 3)``, in spacings."""
     moved = np.linalg.norm(projected - prepared.charted_points, axis=1)
-    return bool(np.median(moved / prepared.frames.spacing[:count]) < TUNING.exact_input_move)
+    return float(np.median(moved / prepared.frames.spacing[: len(projected)]))
 
 
 def denoised_tile(prepared: PreparedTile, projected: Projected) -> Tile | None:
@@ -49,9 +53,10 @@ def denoised_tile(prepared: PreparedTile, projected: Projected) -> Tile | None:
         The tile, or ``None`` if the points hardly moved: the residuals are then detail, not
         noise, and the charts stay valid.
     """
-    if input_is_exact(prepared, projected.points):
+    moved = _median_move(prepared, projected.points)
+    if moved < TUNING.exact_input_move:
         return None
     points = np.empty_like(prepared.points)
     points[prepared.order] = projected.points
-    noisy = NoisyInput(prepared.noise, np.median(prepared.frames.spacing))
+    noisy = NoisyInput(prepared.noise, np.median(prepared.frames.spacing), moved)
     return replace(prepared.tile, points=points, noise=None, noisy=noisy)

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.attributes import transfer_attributes
 from pugeo_model.cloud import Cloud
+from pugeo_model.expected_error import EXPECTED_ERROR, ErrorFactors, expected_errors
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.normalise import Normalisation
 from pugeo_model.orient.across_tiles import TileSigns
@@ -61,12 +62,15 @@ class UpsampledTile:
     normalisation: Normalisation
 
 
-def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
+def finish(
+    prepared: PreparedTile, projected: Projected, factors: ErrorFactors | None = None
+) -> UpsampledTile:
     """Orient normals, interpolate colours and scalars, restore offset and scale.
 
     Args:
         prepared: the tile.
         projected: its dense points with normals of any sign, unit scale.
+        factors: of the network, for the expected errors that ``confidence`` asks for.
     """
     tile = prepared.tile
     if tile.keeps_input and tile.input is None:
@@ -75,6 +79,11 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
     elif not tile.keeps_input and (tile.noisy is not None or tile.input is not None):
         projected = replace(projected, points=_spread_evenly(prepared, projected))
+    expected = None
+    if tile.confidence and factors is not None:
+        expected = expected_errors(prepared, projected, factors) * np.float32(
+            tile.normalisation.scale
+        )
     projected, room = _within_bounds(prepared, projected)
     normals, signs, parts = _oriented(prepared, projected)
     places = prepared.points if tile.input is None else tile.input.points
@@ -82,6 +91,8 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     colors, scalars = transfer_attributes(source, projected.points)
     if tile.keeps_input:
         _keep_attributes(tile, colors, scalars)
+    if expected is not None:
+        scalars[EXPECTED_ERROR] = expected
     dense = replace(
         prepared.cloud,
         points=tile.normalisation.world(projected.points),

@@ -64,7 +64,7 @@ def densify(
     with times.measure("project"):
         survivors = model.project(query)
     with times.measure("finish"):
-        return finish(prepared, survivors)
+        return finish(prepared, survivors, model.error_factors)
 
 
 class LocalStages:

@@ -44,6 +44,8 @@ class Options:
             default 1.25 local spacings.
         denoise: with ratio 1, move the input points onto the surface; they keep their order and
             attributes.
+        confidence: add the scalar ``expected_error`` to the output, the distance from the true
+            surface that is expected of each point, in the cloud's units.
 
     Raises:
         BadOptionError: a value is out of range; its ``fields`` hold the name and the value.
@@ -59,6 +61,7 @@ class Options:
     spacing: float | None = None
     max_gap: float | None = None
     denoise: bool = False
+    confidence: bool = False
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.ratio <= LARGEST_RATIO:

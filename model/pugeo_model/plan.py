@@ -136,6 +136,7 @@ class Plan:
             patch_ratio=self.patch_ratio,
             is_even=self.options.is_even,
             max_gap=self.options.max_gap and self.options.max_gap / self.normalisation.scale,
+            confidence=self.options.confidence,
             input=source,
             weights=None if self.weights is None else self.weights[spec.rows],
             usual_weight=self.usual_weight,
@@ -301,6 +302,8 @@ def _refuse_without_charts(options: Options) -> None:
         name = "max_gap"
     elif options.denoise:
         name = "denoise"
+    elif options.confidence:
+        name = "confidence"
     else:
         return
     refuse(name, getattr(options, name), "left out: this network upsamples whole patches")

@@ -62,10 +62,12 @@ class NoisyInput:
     Attributes:
         noise: in spacings, see `noise_level`.
         median_spacing: float32, unit scale.
+        moved: median distance by which denoising moved the points, in spacings.
     """
 
     noise: float
     median_spacing: np.floating[Any]
+    moved: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,7 @@ class Tile:
         patch_ratio: R of a network that upsamples whole patches, ``None`` if charts are predicted.
         is_even: whether the output has one spacing over the whole surface.
         max_gap: largest distance of an output point from the input, unit scale.
+        confidence: whether the output has the expected error of each point.
         input: the input points behind the charts; ``None`` if each point has its own chart.
         weights: ``(n,)`` float64 to which the numbers of output points of charts are
             proportional, see `Plan`; ``None`` if all are equal.
@@ -124,6 +127,7 @@ class Tile:
     patch_ratio: int | None = None
     is_even: bool = False
     max_gap: float | None = None
+    confidence: bool = False
     input: TileInput | None = None
     weights: NDArray[np.float64] | None = None
     usual_weight: float = 1.0

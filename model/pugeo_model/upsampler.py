@@ -49,6 +49,7 @@ class Upsampler:
         spacing: float | None = None,
         max_gap: float | None = None,
         denoise: bool = False,
+        confidence: bool = False,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Result:
         """Upsample a cloud.
@@ -65,6 +66,7 @@ class Upsampler:
             spacing: mean distance of neighbouring output points; replaces ``ratio``.
             max_gap: largest distance of an output point from the input.
             denoise: with ratio 1, move the input points onto the surface.
+            confidence: add the scalar ``expected_error``, in the cloud's units.
             progress: called with the name of the current stage, the number of completed patches,
                 and the number of all patches.
 
@@ -84,6 +86,7 @@ class Upsampler:
             spacing,
             max_gap,
             denoise,
+            confidence,
         )
         plan = make_plan(cloud, options, patch_ratio=self.model.patch_ratio)
         return self.upsample(plan, progress)

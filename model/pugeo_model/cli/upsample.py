@@ -55,6 +55,9 @@ def upsample(
     denoise: Annotated[
         bool, typer.Option("--denoise", help="With -R 1: move the input points onto the surface.")
     ] = False,
+    confidence: Annotated[
+        bool, typer.Option("--confidence", help="Add the expected error of each point, a scalar.")
+    ] = False,
     model: Annotated[
         str | None, typer.Option(help="Released weights or a .safetensors file [standard].")
     ] = None,
@@ -102,6 +105,7 @@ def upsample(
             density=density,
             spacing=spacing,
             max_gap=max_gap,
+            confidence=confidence,
             denoise=denoise,
         ),
         model or "standard",

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pugeo_model.expected_error import FLOOR
 from pugeo_model.mesh.distance import MeshDistance
 from pugeo_model.network.neighbourhoods import stack_patches
 from pugeo_model.network.projection import blend
@@ -153,7 +154,7 @@ class JointLoss:
         z = count * (nearest - truths).square().sum(-1) / spacing[owner].square()
         truth_fraction = weight[owner] / weight[owner].sum()
 
-        log_difference = (log_error - torch.log(distance.detach() + 0.005)).abs()
+        log_difference = (log_error - torch.log(distance.detach() + FLOOR)).abs()
         parts = {
             "coverage": (truth_fraction * (z + z.square() / (1.0 + z))).sum(),
             "p2f": (fraction * distance).sum(),
@@ -238,7 +239,7 @@ class JointLoss:
         single = (single * true_normal[:, None]).sum(-1).abs() / scale[:, None]
         squared = offsets.square().sum(-1) / spacing[chosen].square()
         nearby = torch.exp(-squared / 0.64) / BLENDED_CHARTS
-        log_difference = (log_errors - torch.log(single.detach() + 0.005)).abs().mean(dim=1)
+        log_difference = (log_errors - torch.log(single.detach() + FLOOR)).abs().mean(dim=1)
         outliers = cloud.shape[1] * _pseudo_huber(distance)
         return {
             "blended_p2f": (fraction * (distance + outliers)).sum(),

@@ -9,6 +9,7 @@ from pugeo_model.errors import LimitExceededError
 from pugeo_service.engine.messages import RunRequest
 
 if TYPE_CHECKING:
+    from pugeo_model.cloud import Cloud
     from pugeo_model.formats import Declared
     from pugeo_model.options import Options
     from pugeo_model.plan import Plan
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["check_answer", "check_plan"]
 
 _NORMAL_BYTES = 12
+_SCALAR_BYTES = 4
 # A worker with the model takes 0.6 GB. For 122 MB of answer (2,000 points, 1,000 scalars, R=8,
 # as PLY) it takes 352 MB more, 2.9 times: columns of the tile and of the cloud, and their bytes.
 _WORKER_BYTES = 600 << 20
@@ -41,7 +43,7 @@ def check_answer(size: Declared, options: Options, request: RunRequest) -> None:
     """
     points = options.points_out(size.points)
     if points is not None:
-        _check(points, size.row_bytes, request, "Lower R")
+        _check(points, _row_bytes(size, options), request, "Lower R")
 
 
 def check_plan(plan: Plan, request: RunRequest, *, in_parts: bool) -> None:
@@ -56,11 +58,16 @@ def check_plan(plan: Plan, request: RunRequest, *, in_parts: bool) -> None:
         LimitExceededError: it would exceed a bound.
     """
     change = "Lower R" if plan.options.spacing is None else "Ask for a wider spacing"
-    _check(plan.n_out, plan.cloud.row_bytes, request, change)
+    _check(plan.n_out, _row_bytes(plan.cloud, plan.options), request, change)
     _check_memory(plan, request, change, in_parts=in_parts)
 
 
-def _check(points: int, row_bytes: int, request: RunRequest, change: str) -> None:
+def _row_bytes(size: Declared | Cloud, options: Options) -> int:
+    """Bytes of a point of the answer, with its normal."""
+    return size.row_bytes + _NORMAL_BYTES + (_SCALAR_BYTES if options.confidence else 0)
+
+
+def _check(points: int, row: int, request: RunRequest, change: str) -> None:
     if points > request.max_output_points:
         raise LimitExceededError(
             f"The answer would have {points:,} points; the limit is "
@@ -70,7 +77,6 @@ def _check(points: int, row_bytes: int, request: RunRequest, change: str) -> Non
             limit=request.max_output_points,
             value=points,
         )
-    row = row_bytes + _NORMAL_BYTES
     if points * row > request.max_output_bytes:
         raise LimitExceededError(
             f"The answer would have {points * row:,} bytes, {points:,} points of {row:,}; the "
@@ -85,7 +91,7 @@ def _check(points: int, row_bytes: int, request: RunRequest, change: str) -> Non
 def _check_memory(plan: Plan, request: RunRequest, change: str, *, in_parts: bool) -> None:
     if request.worker_bytes is None:
         return
-    row = plan.cloud.row_bytes + _NORMAL_BYTES
+    row = _row_bytes(plan.cloud, plan.options)
     answer = plan.n_out * row
     held = answer // min(_PARTS, len(plan.tile_specs)) if in_parts else answer
     spare = int(_USABLE * request.worker_bytes) - _WORKER_BYTES

@@ -65,6 +65,13 @@ class UpsampleQuery(BaseModel):
             "order and attributes."
         ),
     ] = False
+    confidence: Annotated[
+        bool,
+        Field(
+            description="Add the scalar expected_error: the distance from the true surface that "
+            "is expected of each point, in units of the cloud."
+        ),
+    ] = False
     orient: Annotated[
         str,
         Field(
@@ -127,6 +134,7 @@ class UpsampleQuery(BaseModel):
             "spacing": self.spacing,
             "max_gap": self.max_gap,
             "denoise": self.denoise,
+            "confidence": self.confidence,
         }
 
 

@@ -37,6 +37,10 @@ const WORDS: Partial<Record<string, Wording>> = {
     hint: "Moves the points of the scan onto the surface and adds none: the ratio becomes 1.",
   },
   max_gap: { label: "Largest gap" },
+  confidence: {
+    label: "Expected error",
+    hint: "Each point gets its expected distance from the true surface, to colour by.",
+  },
   seed: { label: "Seed", hint: "Another seed gives another, equally even set of points." },
   keep_input: {
     label: "Keep the input points",
