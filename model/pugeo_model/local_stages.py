@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pugeo_model.denoise import denoised_tile, needs_denoising
+from pugeo_model.expected_error import ErrorFactors
 from pugeo_model.finish import UpsampledTile, finish
 from pugeo_model.prepare import PreparedTile, prepare
 from pugeo_model.queries import input_queries, propose, select_survivors
@@ -64,7 +65,7 @@ def densify(
     with times.measure("project"):
         survivors = model.project(query)
     with times.measure("finish"):
-        return finish(prepared, survivors, model.error_factors)
+        return finish(prepared, survivors, ErrorFactors.of_card(model.card))
 
 
 class LocalStages:

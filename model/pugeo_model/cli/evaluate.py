@@ -14,12 +14,18 @@ __all__ = ["evaluate"]
 
 def evaluate(
     meshes: Annotated[Path, typer.Option(help="Folder of NAME.ply meshes, longest side 1.")],
-    samples: Annotated[Path, typer.Option(help="Folder with inputs/ and gt/ samples of them.")],
+    samples: Annotated[
+        Path | None, typer.Option(help="Folder with inputs/ and gt/ samples of them.")
+    ] = None,
     model: Annotated[str, typer.Option(help="Released weights or a .safetensors file.")] = (
         "standard"
     ),
     case: Annotated[
         list[str] | None, typer.Option(help="Only this input, such as '5000 x4'; repeatable.")
+    ] = None,
+    suite: Annotated[
+        str | None,
+        typer.Option(help="Inputs made from the meshes instead: sensors, denoising or normals."),
     ] = None,
     baselines: Annotated[
         bool, typer.Option("--baselines", help="Measure methods without learning too.")
@@ -34,6 +40,11 @@ def evaluate(
     card: Annotated[bool, typer.Option(help="Write the means into the model card.")] = False,
 ) -> None:
     """Evaluate points and normals on fixed samples; the row `limit` is an ideal sample."""
+    if suite is not None:
+        _evaluate_suite(suite, model, meshes, out)
+        return
+    if samples is None:
+        raise typer.BadParameter("give --samples, or a --suite that makes its own inputs")
     try:
         from pugeo_model.metrics.evaluation import CASES
         from pugeo_model.metrics.report import evaluate_all, require
@@ -61,4 +72,29 @@ def evaluate(
                 task, description=label, completed=done, total=total
             ),
         )
+    typer.echo(table)
+
+
+def _evaluate_suite(suite: str, model: str, meshes: Path, out: Path | None) -> None:
+    """Measure one of the suites that need no samples, and print its table."""
+    try:
+        from pugeo_model.metrics.suites import SUITES, evaluate_suite
+    except ModuleNotFoundError as missing:
+        raise needed_extra(missing, "evaluate") from missing
+    if suite not in SUITES:
+        raise typer.BadParameter(f"no suite {suite!r}: give one of {', '.join(SUITES)}")
+    with progress_bar() as bar:
+        task = bar.add_task(suite, total=None)
+        try:
+            table = evaluate_suite(
+                suite,
+                model,
+                meshes,
+                out,
+                lambda label, done, total: bar.update(
+                    task, description=label, completed=done, total=total
+                ),
+            )
+        except ModuleNotFoundError as missing:
+            raise needed_extra(missing, "train") from missing
     typer.echo(table)

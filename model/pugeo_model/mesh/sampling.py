@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.resample.elimination import eliminate, packing_radius
 
-__all__ = ["face_normals", "poisson_disk", "uniform"]
+__all__ = ["face_normals", "poisson_disk", "surface_area", "uniform", "uniform_with_faces"]
 
 _OVERSAMPLING = 5  # candidates per sample, as Yuksel (2015) recommends
 _NEIGHBOURS = 28  # of a candidate within the packing radius at most, including itself
@@ -47,12 +47,27 @@ def uniform(
     Returns:
         ``(count, 3)`` float64.
     """
+    return uniform_with_faces(vertices, faces, count, rng)[0]
+
+
+def uniform_with_faces(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Draw samples as `uniform` does; also returns the face of each, ``(count,)``."""
     area = np.linalg.norm(_edge_products(vertices, faces), axis=1)
     chosen = rng.choice(len(faces), size=count, p=area / area.sum())
     root, v = np.sqrt(rng.random(count)), rng.random(count)
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
     samples: NDArray[np.float64] = np.einsum("nc,ncd->nd", weights, vertices[faces][chosen])
-    return samples
+    return samples, chosen
+
+
+def surface_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+    """Compute the area of a mesh."""
+    return 0.5 * float(np.linalg.norm(_edge_products(vertices, faces), axis=1).sum())
 
 
 def poisson_disk(
@@ -72,7 +87,7 @@ def poisson_disk(
     Returns:
         ``(count, 3)`` float64.
     """
-    area = 0.5 * np.linalg.norm(_edge_products(vertices, faces), axis=1).sum() / count
+    area = surface_area(vertices, faces) / count
     candidates = uniform(vertices, faces, _OVERSAMPLING * count, rng)
     radius = np.full(len(candidates), packing_radius(np.array(area)))
     distance, rows = knn(cKDTree(candidates), candidates, _NEIGHBOURS, radius[0])

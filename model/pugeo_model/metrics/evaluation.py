@@ -14,7 +14,7 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
 from pugeo_model.mesh.distance import MeshDistance
 from pugeo_model.mesh.files import read_mesh
-from pugeo_model.mesh.sampling import face_normals, poisson_disk, uniform
+from pugeo_model.mesh.sampling import face_normals, poisson_disk, surface_area, uniform
 from pugeo_model.metrics.clouds import (
     chamfer,
     evenness,
@@ -36,7 +36,9 @@ __all__ = [
     "limit",
     "mean_row",
     "measure",
+    "measure_normals",
     "measure_surface",
+    "reference",
     "truths",
 ]
 
@@ -56,6 +58,9 @@ COLUMNS = (
     "CD#",
     "HD#",
     "JSD#",
+    "stray",
+    "density",
+    "left",
 )
 """CD, HD, JSD in 1e-2; P2F, sCD, sHD in 1e-3; normals in degrees, fractions in percent."""
 
@@ -89,6 +94,7 @@ CASES = (
     Case("5000", 4, 20_000),
     Case("5000", 16, 80_000),
     Case("2048", 4, 8_192),
+    Case("2048", 16, 32_768),
     Case("2048_noise01", 4, 8_192),
     Case("2048_noise02", 4, 8_192),
     Case("2048_random", 4, 8_192),
@@ -107,6 +113,11 @@ class Truth:
         self.vertices, self.faces = read_mesh(path)
         self.normals = face_normals(self.vertices, self.faces)
         self.distance = MeshDistance(self.vertices, self.faces)
+
+    @cached_property
+    def area(self) -> float:
+        """Area of the mesh."""
+        return surface_area(self.vertices, self.faces)
 
     @cached_property
     def sample(self) -> NDArray[np.float64]:
@@ -132,6 +143,17 @@ def truths(meshes: Path) -> Iterator[Truth]:
     if not found:
         raise FileNotFoundError(f"no NAME.ply in {meshes}")
     return map(Truth, found)
+
+
+def reference(truth: Truth, samples: Path, count: int) -> NDArray[np.float64]:
+    """Poisson-disk sample of the true surface that outputs are compared with, ``(count, 3)``.
+
+    The stored sample where there is one, else one that is the same every time.
+    """
+    stored = samples / "gt" / f"{truth.name}_{count}.ply"
+    if stored.exists():
+        return read(stored).points.astype(np.float64)
+    return poisson_disk(truth.vertices, truth.faces, count, np.random.default_rng([count, 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,17 +203,21 @@ def measure(
         "evenness": evenness(points),
     }
     if normals is not None:
-        true = truth.normals[face]
-        cosine = (normals * true).sum(axis=1)
-        # arctan2, since arccos near 0 degrees amplifies float32 rounding to 0.02 degrees.
-        angle = np.degrees(
-            np.arctan2(np.linalg.norm(np.cross(normals, true), axis=1), np.abs(cosine))
-        )
-        row["normal_mean"] = float(angle.mean())
-        row["normal_rms"] = float(np.sqrt((angle**2).mean()))
-        row["normal_below_10"] = 100.0 * float((angle < 10.0).mean())
-        row["outward"] = 100.0 * float((cosine > 0.0).mean())
+        row |= measure_normals(normals, truth.normals[face])
     return row
+
+
+def measure_normals(normals: NDArray[np.floating], true: NDArray[np.float64]) -> dict[str, float]:
+    """Compute the columns of normals ``(K, 3)`` against true ones, both of unit length."""
+    cosine = (normals * true).sum(axis=1)
+    # arctan2, since arccos near 0 degrees amplifies float32 rounding to 0.02 degrees.
+    angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(normals, true), axis=1), np.abs(cosine)))
+    return {
+        "normal_mean": float(angle.mean()),
+        "normal_rms": float(np.sqrt((angle**2).mean())),
+        "normal_below_10": 100.0 * float((angle < 10.0).mean()),
+        "outward": 100.0 * float((cosine > 0.0).mean()),
+    }
 
 
 def measure_surface(surface: Mesh, truth: Truth) -> dict[str, float]:
@@ -260,9 +286,8 @@ def _measure_both(
     dense: Cloud, case: Case, truth: Truth, samples: Path, *, surfaces: bool
 ) -> tuple[dict[str, float], Mesh | None]:
     """Measure a dense cloud and, if requested, the surface reconstructed from it."""
-    reference = read(samples / "gt" / f"{truth.name}_{case.reference}.ply").points
     points = dense.points.astype(np.float64)
-    row = measure(points, dense.normals, reference.astype(np.float64), truth)
+    row = measure(points, dense.normals, reference(truth, samples, case.reference), truth)
     if not surfaces or dense.normals is None:
         return row, None
     surface = reconstruct(points, dense.normals)

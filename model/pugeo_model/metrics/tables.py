@@ -31,6 +31,9 @@ _COLUMNS = {
     "CD#": _Column("CD#", 4, "CD of 200,000 points of reconstructed and true surface, 1e-2"),
     "HD#": _Column("HD#", 3, "HD of these points, 1e-2"),
     "JSD#": _Column("JSD#", 3, "JSD of these points, 1e-2"),
+    "stray": _Column("stray", 2, "points further than 1 % of the size from the surface, percent"),
+    "density": _Column("density", 3, "variation of the number of points within 4 spacings"),
+    "left": _Column("left", 3, "share of the noisy input's squared distances that is left"),
 }
 assert tuple(_COLUMNS) == COLUMNS
 

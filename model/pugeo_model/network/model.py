@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from pugeo_model.expected_error import ErrorFactors
 from pugeo_model.geometry.patches import Patch
 from pugeo_model.malloc import bound_compiled_products, keep_freed_memory
 from pugeo_model.network.heads import combine
@@ -38,7 +37,6 @@ class Model:
         self.net = net.eval()
         freeze(self.net)
         self.card = card
-        self.error_factors = ErrorFactors.of_card(card)
         self.patch_ratio: int | None = None
         self._projector = Projector(self.net.surface)
 

@@ -8,15 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read
-from pugeo_model.mesh.sampling import poisson_disk
-from pugeo_model.metrics.evaluation import Truth, mean_row, measure, measure_surface
+from pugeo_model.metrics.evaluation import (
+    Truth,
+    mean_row,
+    measure,
+    measure_surface,
+    reference,
+)
 from pugeo_model.metrics.reconstruction import reconstruct
 
-__all__ = ["Row", "RowStore", "Setting", "reference"]
+__all__ = ["Row", "RowStore", "Setting"]
 
 _POINTS = 5000  # M of Tables 1 to 3
 
@@ -49,17 +53,6 @@ class Row:
     columns: dict[str, float]
     seconds: float
     spent: float
-
-
-def reference(truth: Truth, samples: Path, count: int) -> NDArray[np.float64]:
-    """Poisson-disk sample of the true surface that outputs are compared with, ``(count, 3)``.
-
-    The stored sample where there is one, else one that is the same every time.
-    """
-    stored = samples / "gt" / f"{truth.name}_{count}.ply"
-    if stored.exists():
-        return read(stored).points.astype(np.float64)
-    return poisson_disk(truth.vertices, truth.faces, count, np.random.default_rng([count, 1]))
 
 
 class RowStore:

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from pugeo_model.geometry.neighbours import knn
+from pugeo_model.mesh.virtual_sensors import random_direction, typical_spacing
 from pugeo_model.training.corpus import SIZES, Shape
 
-__all__ = ["Mix", "draw", "random_direction", "typical_spacing"]
+__all__ = ["Mix", "draw"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class Mix:
         ramp: density that falls to a quarter across the shape.
         cut: shape cut off by a plane.
         lines: scan lines, two to four times as dense along a line as across.
-        sensors: scans of virtual sensors, see :mod:`~pugeo_model.training.sensors`.
+        sensors: scans of virtual sensors, see :mod:`~pugeo_model.mesh.virtual_sensors`.
         dense: many random points with noise of up to two spacings.
         noise: largest standard deviation of the noise of even input, in spacings.
     """
@@ -90,12 +89,6 @@ def draw(shape: Shape, mix: Mix, rng: np.random.Generator) -> tuple[NDArray[np.f
     return points, noise
 
 
-def random_direction(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Random unit vector ``(3,)``."""
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
-
-
 def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Samples near equidistant planes, thinned, so that lines are denser along than across."""
     height = pool @ random_direction(rng).astype(np.float32)
@@ -106,9 +99,3 @@ def _scan_lines(pool: NDArray[np.float32], rng: np.random.Generator) -> NDArray[
     keep = int(len(pool) * 0.08 * rng.uniform(0.3, 1.0))
     thinned: NDArray[np.float32] = pool[rng.permutation(rows)[: max(keep, 600)]]
     return thinned
-
-
-def typical_spacing(points: NDArray[np.float64]) -> float:
-    """Median spacing (mean distance to 8 neighbours) of about 200 of the points ``(M, 3)``."""
-    distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
-    return float(np.median(distance[:, 1:].mean(axis=1)))

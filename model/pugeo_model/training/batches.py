@@ -13,9 +13,9 @@ from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import knn, nearest, spacing
 from pugeo_model.geometry.patches import Patch, extract_patch
 from pugeo_model.geometry.scale import measure_scale
+from pugeo_model.mesh.virtual_sensors import Scan, Scene, Surface, dense, everywhere, scan
 from pugeo_model.training.augment import Mix, draw
 from pugeo_model.training.corpus import Shape
-from pugeo_model.training.sensors import Scan, Scene, dense, everywhere, scan
 
 __all__ = ["RATIOS", "Batches", "Sample"]
 
@@ -113,12 +113,13 @@ class Batches(Dataset[tuple[int, list[Sample]]]):
             kind = rng.random()
             if kind < mix.sensors:
                 if index not in self._scenes:
-                    self._scenes[index] = Scene(shape)
+                    surface = Surface(shape.vertices, shape.faces, shape.normals, shape.pool)
+                    self._scenes[index] = Scene(surface)
                 made = scan(self._scenes[index], rng)
                 if made is not None:
                     return made
             elif kind < mix.sensors + mix.dense:
-                return dense(shape, rng)
+                return dense(shape.pool, rng)
         points, noise = draw(shape, mix, rng)
         return Scan(points, noise, everywhere, redundant=False)
 

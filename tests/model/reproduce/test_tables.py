@@ -16,14 +16,14 @@ import igl
 from pugeo_model.cli import app
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats import read, write
-from pugeo_model.metrics.evaluation import Truth
+from pugeo_model.metrics.evaluation import Truth, reference
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.reproduce import printed, rows, tables
 from pugeo_model.reproduce.budget import draw_curves, full_schedule
 from pugeo_model.reproduce.document import lines_table, section
 from pugeo_model.reproduce.robustness import draw, few_points, lidar, noisy_points
-from pugeo_model.reproduce.rows import RowStore, Setting, reference
+from pugeo_model.reproduce.rows import RowStore, Setting
 from pugeo_model.reproduce.solids import sphere
 from pugeo_model.reproduce.stored import stored, stored_path
 from pugeo_model.reproduce.trained import ABLATIONS, RATIOS, Trained, megabytes, needed

@@ -5,18 +5,23 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from pugeo_model.mesh.virtual_sensors import SENSORS, Scene, Surface, dense
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
-from pugeo_model.training.sensors import SENSORS, Scene, dense
 
 pytest.importorskip("trimesh", reason="virtual sensors need the train extra")
 pytest.importorskip("embreex", reason="virtual sensors need the train extra")
 
 
+def surface(shape):
+    """The mesh of a training shape."""
+    return Surface(shape.vertices, shape.faces, shape.normals, shape.pool)
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_points_of_a_sensor_lie_near_the_surface(shapes, name):
     """Points are as far from the true surface as the noise says; the same seed gives the same."""
-    scene = Scene(shapes[0])
+    scene = Scene(surface(shapes[0]))
     scan = SENSORS[name](scene, np.random.default_rng(3))
     again = SENSORS[name](scene, np.random.default_rng(3))
     np.testing.assert_array_equal(scan.points, again.points)
@@ -29,7 +34,7 @@ def test_points_of_a_sensor_lie_near_the_surface(shapes, name):
 
 def test_a_sensor_sees_one_side(shapes):
     """Of a ball a single scanner sees less than half of the surface, and its own points."""
-    scene = Scene(shapes[0])
+    scene = Scene(surface(shapes[0]))
     scan = SENSORS["rings"](scene, np.random.default_rng(0))
     seen = scan.is_seen(shapes[0].pool.astype(np.float64))
     assert 0.1 < seen.mean() < 0.5
@@ -37,7 +42,7 @@ def test_a_sensor_sees_one_side(shapes):
 
 def test_dense_points_are_noisy(shapes):
     """Dense inputs have noise and many points."""
-    scan = dense(shapes[0], np.random.default_rng(1))
+    scan = dense(shapes[0].pool, np.random.default_rng(1))
     assert len(scan.points) >= 8000
     assert scan.noise > 0.0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Virtual sensors: scans of training shapes by ray casting (Embree through trimesh).
+"""Virtual sensors: scans of meshes by ray casting (Embree through trimesh).
 
 Lengths are those of the shape, whose longest side is 1. Each scan has a random resolution, noise
 and place; noise, steps and misplacement are fractions of the spacing of its points.
@@ -7,18 +7,46 @@ and place; noise, steps and misplacement are fractions of the spacing of its poi
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from pugeo_model.training.augment import random_direction, typical_spacing
-from pugeo_model.training.corpus import Shape
+from pugeo_model.geometry.neighbours import knn
 
-__all__ = ["SENSORS", "Scan", "Scene", "dense", "everywhere", "scan"]
+__all__ = [
+    "SENSORS",
+    "Scan",
+    "Scene",
+    "Surface",
+    "dense",
+    "everywhere",
+    "random_direction",
+    "scan",
+    "typical_spacing",
+]
 
 _GRAZING = 0.08  # cosine of incidence below which a beam gives no return
 _FEWEST = 300  # points of a usable scan
 _TOLERANCE = 2e-4  # distance from a hit to a surface point that the sensor sees
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A mesh with random points on it.
+
+    Attributes:
+        vertices: ``(V, 3)`` float64.
+        faces: ``(F, 3)`` int64.
+        normals: ``(F, 3)`` float64 unit normals of the faces.
+        pool: ``(n, 3)`` independent uniform samples.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    normals: NDArray[np.float64]
+    pool: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +73,7 @@ class Scene:
         shape: the shape with the mesh.
     """
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: Surface) -> None:
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -256,10 +284,10 @@ def _lattice(scene: Scene, rng: np.random.Generator) -> Scan:
     return Scan(points, noise, lambda at: scene.sees(places, at))
 
 
-def dense(shape: Shape, rng: np.random.Generator) -> Scan:
-    """Many random points with noise of up to two spacings."""
+def dense(pool: NDArray[Any], rng: np.random.Generator) -> Scan:
+    """Many points of a pool ``(n, 3)``, with noise of up to two spacings."""
     count = int(rng.choice([8000, 16000, 32000, 50000]))
-    points = shape.pool[rng.choice(len(shape.pool), count, replace=False)].astype(np.float64)
+    points = pool[rng.choice(len(pool), count, replace=False)].astype(np.float64)
     noise = min(rng.uniform(0.25, 2.0) * typical_spacing(points), 0.012)
     return Scan(points + rng.normal(0.0, noise, points.shape), noise, everywhere)
 
@@ -286,3 +314,15 @@ def scan(scene: Scene, rng: np.random.Generator) -> Scan | None:
 def everywhere(at: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return ``True`` for all surface points ``(n, 3)``."""
     return np.ones(len(at), dtype=np.bool_)
+
+
+def random_direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Random unit vector ``(3,)``."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def typical_spacing(points: NDArray[np.float64]) -> float:
+    """Median spacing (mean distance to 8 neighbours) of about 200 of the points ``(M, 3)``."""
+    distance, _ = knn(cKDTree(points), points[:: max(1, len(points) // 200)], 9)
+    return float(np.median(distance[:, 1:].mean(axis=1)))
