@@ -193,9 +193,10 @@ def test_a_request_that_ends_workers(play: Play, tmp_path: Path) -> None:
 
 def test_cancelling_a_request(play: Play, tmp_path: Path) -> None:
     """A cancelled request leaves neither a task nor a place in the queue."""
-    directions = np.random.default_rng(0).normal(size=(200_000, 3))
+    points = np.random.default_rng(0).normal(size=(80_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
     buffer = io.BytesIO()
-    formats.write(Cloud(directions), buffer, format="ply")
+    formats.write(Cloud(points), buffer, format="ply")
     large = dataclasses.replace(REQUEST, max_points=10**6, max_output_points=10**7)
 
     async def scenario(engine: Engine) -> None:

@@ -59,9 +59,11 @@ def asked(connection: socket.socket) -> bytes:
     return answer
 
 
-def test_idle_connections_are_bounded(address: tuple[str, int]) -> None:
+def test_idle_connections_are_bounded(
+    address: tuple[str, int], caplog: pytest.LogCaptureFixture
+) -> None:
     """Connections beyond the bound get 503 and are closed; one that ends makes room."""
-    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+    caplog.set_level(logging.CRITICAL, "uvicorn.error")
     with structlog.testing.capture_logs() as logs, ExitStack() as opened:
         kept = [opened.enter_context(socket.create_connection(address)) for _ in range(LIMIT)]
         for each in kept:
