@@ -245,6 +245,7 @@ def test_an_external_cluster(external: ExternalCluster, launch: Any, server: Any
     np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> None:
     """While the cluster is gone all requests get 503, running ones too; then 200."""
     external.start()
