@@ -29,13 +29,21 @@ test("a dropped scan comes back dense, in both panes, with its figures", async (
   await expectNoSeriousFault(page);
 });
 
+/** What is drawn, as text. */
+function picture(page: Page): Promise<string> {
+  return page.evaluate(() => document.querySelector<HTMLCanvasElement>("#stage canvas")?.toDataURL() ?? "");
+}
+
 test("swipe and toggle show one cloud in the place of the other", async ({ watched: page }) => {
   await page.click("[data-example='knot.ply'] >> nth=0");
   await run(page);
   await page.click("[data-name=swipe]");
   const shares: number[] = [];
   for (const place of ["0", "100"]) {
+    const former = await picture(page);
     await page.locator("#swipe").fill(place);
+    // The next frame may take a while on a busy machine.
+    await expect.poll(async () => (await picture(page)) !== former).toBe(true);
     await expect(page.locator("#rate")).toContainText("36,000 points drawn");
     shares.push((await lit(page)).reduce((sum, share) => sum + share));
   }
@@ -51,21 +59,19 @@ test("swipe and toggle show one cloud in the place of the other", async ({ watch
 test("colours, hairs and keys change the picture", async ({ watched: page }) => {
   await page.click("[data-example='knot.ply'] >> nth=0");
   await run(page);
-  const picture = (): Promise<string> => page.evaluate(() =>
-    document.querySelector<HTMLCanvasElement>("#stage canvas")?.toDataURL() ?? "");
   const seen = new Set<string>();
   for (const name of ["rgb", "normals", "height", "distance"]) {
     await page.selectOption("#coloring", name);
     await expect(page.locator("#legend")).toBeVisible({ visible: name === "height" || name === "distance" });
-    await expect.poll(async () => !seen.has(await picture())).toBe(true);
-    seen.add(await picture());
+    await expect.poll(async () => !seen.has(await picture(page))).toBe(true);
+    seen.add(await picture(page));
   }
   await page.click("#hairs");
-  await expect.poll(async () => !seen.has(await picture())).toBe(true);
-  seen.add(await picture());
+  await expect.poll(async () => !seen.has(await picture(page))).toBe(true);
+  seen.add(await picture(page));
   await page.focus("#stage");
   await page.keyboard.press("ArrowLeft");
-  await expect.poll(async () => !seen.has(await picture())).toBe(true);
+  await expect.poll(async () => !seen.has(await picture(page))).toBe(true);
 });
 
 test("surfaces of both clouds take the place of the points", async ({ watched: page }) => {
