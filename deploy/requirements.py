@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Print what an extra of pyproject.toml requires, without pugeo itself.
+"""Print what extras of pyproject.toml require, without pugeo itself.
 
 The image installs this first, so that a change of the source does not install torch anew.
 """
@@ -23,5 +23,7 @@ def requirements(extra: str, extras: dict[str, list[str]]) -> list[str]:
 
 if __name__ == "__main__":
     project = tomllib.loads(Path("pyproject.toml").read_text("utf-8"))["project"]
-    lines = project["dependencies"] + requirements(sys.argv[1], project["optional-dependencies"])
-    sys.stdout.write("\n".join(lines) + "\n")
+    lines = [*project["dependencies"]]
+    for extra in sys.argv[1:]:
+        lines += requirements(extra, project["optional-dependencies"])
+    sys.stdout.write("\n".join(dict.fromkeys(lines)) + "\n")
