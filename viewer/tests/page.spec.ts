@@ -56,6 +56,16 @@ test("swipe and toggle show one cloud in the place of the other", async ({ watch
   await expect(page.locator("#rate")).toContainText("4,000 points drawn");
 });
 
+test("the expected error is a scalar to colour by", async ({ watched: page }) => {
+  await page.click("[data-example='knot.ply'] >> nth=0");
+  await page.getByLabel("Expected error").check();
+  await run(page);
+  const former = await picture(page);
+  await page.selectOption("#coloring", "scalar:expected_error");
+  await expect.poll(async () => (await picture(page)) !== former).toBe(true);
+  await expect(page.locator("#legend")).toBeVisible();
+});
+
 test("colours, hairs and keys change the picture", async ({ watched: page }) => {
   await page.click("[data-example='knot.ply'] >> nth=0");
   await run(page);
