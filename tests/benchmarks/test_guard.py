@@ -16,7 +16,7 @@ pytest.importorskip("benchmarks", reason="not part of a source distribution")
 from benchmarks.guard import Ratios
 from benchmarks.one_core import environment
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(name="ratios", scope="module")

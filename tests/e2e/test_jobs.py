@@ -48,7 +48,7 @@ def ball(count: int) -> bytes:
 
 
 SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(100_000)
-# One worker takes as long for it as two take for the large one.
+# One worker has patches of it to compute for seconds.
 HALF = ball(30_000)
 # It takes more than a second on any machine; progress is stored every half second.
 LONG = ball(40_000)

@@ -80,7 +80,10 @@ def test_sigterm_drains(launch: Any) -> None:
         assert accepted.response.headers["pugeo-points-out"] == "100000"
 
 
-@pytest.mark.parametrize("moment", [0.0, 1.2])
+@pytest.mark.parametrize(
+    "moment",
+    [0.0, 1.2, *(pytest.param(at, marks=pytest.mark.long) for at in (0.6, 2.4))],
+)
 def test_sigterm_while_starting(launch: Any, moment: float) -> None:
     """SIGTERM before the service is ready ends it with status 0."""
     with launch("--workers", "1") as server:

@@ -4,11 +4,13 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
 from pugeo_service import settings as module
+from pugeo_service.server import main
 from pugeo_service.settings import Settings, explain, unknown_names
 
 
@@ -174,3 +176,22 @@ def lines() -> list[str]:
     with pytest.raises(ValidationError) as caught:
         Settings()
     return list(explain(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"workers": -1}, "PUGEO_WORKERS=-1: "),
+        ({"scheduler": "tcp://somewhere:8786"}, "tls://"),
+        ({"spool_dir": "/nowhere"}, "not a folder"),
+    ],
+)
+def test_the_command_tells_a_wrong_setting_in_a_line(
+    capsys: pytest.CaptureFixture[str], given: dict[str, Any], words: str
+) -> None:
+    """`pugeo serve` with a wrong option ends with status 2 and a line on stderr, nothing more."""
+    assert main(given) == 2
+    printed = capsys.readouterr()
+    (line,) = printed.err.splitlines()
+    assert words in line
+    assert printed.out == ""
