@@ -15,13 +15,12 @@ __all__ = ["denoised_tile", "input_is_exact", "needs_denoising"]
 
 
 def needs_denoising(prepared: PreparedTile) -> bool:
-    """Return whether the input is noisy, may be moved, and was not moved yet."""
+    """Return whether the input is noisy, is not part of the output, and was not moved yet."""
     tile = prepared.tile
     if tile.patch_ratio is not None:
         # Networks that upsample whole patches predict no charts to move points onto.
         return False
-    may_move = tile.moves_input or not tile.keeps_input
-    return prepared.noise > TUNING.noise_threshold and may_move and tile.noisy is None
+    return prepared.noise > TUNING.noise_threshold and not tile.unmoved and tile.noisy is None
 
 
 def input_is_exact(prepared: PreparedTile, projected: NDArray[np.float64]) -> bool:
@@ -31,13 +30,17 @@ def input_is_exact(prepared: PreparedTile, projected: NDArray[np.float64]) -> bo
         prepared: the tile.
         projected: ``(charted, 3)`` float64, its charted points after projection, unit scale.
     """
-    return _median_move(prepared, projected) < TUNING.exact_input_move
+    return _move_of_noise(prepared, projected) is None
 
 
-def _median_move(prepared: PreparedTile, projected: NDArray[np.float64]) -> float:
-    """Median distance of charted points from their projections ``(charted, 3)``, in spacings."""
+def _move_of_noise(prepared: PreparedTile, projected: NDArray[np.float64]) -> float | None:
+    """Median distance of points from their projections, in spacings; ``None`` if it is too small.
+
+    The residuals of such a tile are detail, not noise. Arguments as for `input_is_exact`.
+    """
     moved = np.linalg.norm(projected - prepared.charted_points, axis=1)
-    return float(np.median(moved / prepared.frames.spacing[: len(projected)]))
+    median = float(np.median(moved / prepared.frames.spacing[: len(projected)]))
+    return median if median >= TUNING.exact_input_move else None
 
 
 def denoised_tile(prepared: PreparedTile, projected: Projected) -> Tile | None:
@@ -53,8 +56,8 @@ def denoised_tile(prepared: PreparedTile, projected: Projected) -> Tile | None:
         The tile, or ``None`` if the points hardly moved: the residuals are then detail, not
         noise, and the charts stay valid.
     """
-    moved = _median_move(prepared, projected.points)
-    if moved < TUNING.exact_input_move:
+    moved = _move_of_noise(prepared, projected.points)
+    if moved is None:
         return None
     points = np.empty_like(prepared.points)
     points[prepared.order] = projected.points

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.attributes import transfer_attributes
 from pugeo_model.cloud import Cloud
-from pugeo_model.expected_error import EXPECTED_ERROR, ErrorFactors, expected_errors
+from pugeo_model.expected_error import EXPECTED_ERROR, expected_errors
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.normalise import Normalisation
 from pugeo_model.orient.across_tiles import TileSigns
@@ -62,15 +62,12 @@ class UpsampledTile:
     normalisation: Normalisation
 
 
-def finish(
-    prepared: PreparedTile, projected: Projected, factors: ErrorFactors | None = None
-) -> UpsampledTile:
+def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     """Orient normals, interpolate colours and scalars, restore offset and scale.
 
     Args:
         prepared: the tile.
         projected: its dense points with normals of any sign, unit scale.
-        factors: of the network, for the expected errors that ``confidence`` asks for.
     """
     tile = prepared.tile
     if tile.keeps_input and tile.input is None:
@@ -79,11 +76,6 @@ def finish(
         projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
     elif not tile.keeps_input and (tile.noisy is not None or tile.input is not None):
         projected = replace(projected, points=_spread_evenly(prepared, projected))
-    expected = None
-    if tile.confidence and factors is not None:
-        expected = expected_errors(prepared, projected, factors) * np.float32(
-            tile.normalisation.scale
-        )
     projected, room = _within_bounds(prepared, projected)
     normals, signs, parts = _oriented(prepared, projected)
     places = prepared.points if tile.input is None else tile.input.points
@@ -91,8 +83,9 @@ def finish(
     colors, scalars = transfer_attributes(source, projected.points)
     if tile.keeps_input:
         _keep_attributes(tile, colors, scalars)
-    if expected is not None:
-        scalars[EXPECTED_ERROR] = expected
+    if tile.confidence:
+        unit = expected_errors(prepared, projected)
+        scalars[EXPECTED_ERROR] = unit * np.float32(tile.normalisation.scale)
     dense = replace(
         prepared.cloud,
         points=tile.normalisation.world(projected.points),
@@ -100,8 +93,7 @@ def finish(
         colors=colors,
         scalars=scalars,
     )
-    if tile.keeps_input and not tile.moves_input:
-        dense.points[: tile.kept] = tile.cloud.points[: tile.kept]
+    dense.points[: tile.unmoved] = tile.cloud.points[: tile.unmoved]
     border = Border(
         signs, None if prepared.core.all() else _border_points(prepared, projected, room)
     )
@@ -138,9 +130,7 @@ def _within_bounds(
     Returns:
         The points, and by how much each may move before it is too far, ``(K,)``.
     """
-    kept = 0
-    if prepared.tile.keeps_input and not prepared.tile.moves_input:
-        kept = prepared.tile.kept
+    tile = prepared.tile
     limit, nearest = distance_bounds(
         projected.points,
         projected.normals,
@@ -148,17 +138,16 @@ def _within_bounds(
         prepared.points,
         prepared.neighbours,
         bounded_spacing(prepared.frames.spacing, prepared.neighbours),
-        prepared.tile.max_gap,
+        tile.max_gap,
         shadows=False,
     )
-    points, room = _moved_within(projected.points, prepared.points[nearest], limit, kept)
-    tile = prepared.tile
+    points, room = _moved_within(projected.points, prepared.points[nearest], limit, tile.unmoved)
     if tile.max_gap is not None and (tile.input is not None or tile.noisy is not None):
         # Charts of a noisy scan lie between its points: the gap is to the points themselves.
         places = tile.normalisation.unit(tile.cloud.points)
         places = places[knn(cKDTree(places), points, 1)[1][:, 0]]
         gap = np.full(len(points), tile.max_gap)
-        points, less = _moved_within(points, places, gap, kept)
+        points, less = _moved_within(points, places, gap, tile.unmoved)
         room = np.minimum(room, less)
     return replace(projected, points=points), room
 
@@ -167,17 +156,18 @@ def _moved_within(
     points: NDArray[np.float64],
     places: NDArray[np.float64],
     limit: NDArray[np.float64],
-    kept: int,
+    unmoved: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Move points ``(K, 3)`` towards ``places`` where they are further away than ``limit``.
 
     Returns:
-        The points, of which the ``kept`` leading ones stay, and what is left of the limit, >= 0.
+        The points, of which the ``unmoved`` leading ones stay, and the distance that each is
+        below its limit, >= 0.
     """
     offset = points - places
     distance = np.linalg.norm(offset, axis=1)
     far = distance > limit
-    far[:kept] = False
+    far[:unmoved] = False
     if far.any():
         points = points.copy()
         points[far] = places[far] + offset[far] * (limit[far] / distance[far])[:, None]

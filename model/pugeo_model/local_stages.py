@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pugeo_model.denoise import denoised_tile, needs_denoising
-from pugeo_model.expected_error import ErrorFactors
 from pugeo_model.finish import UpsampledTile, finish
 from pugeo_model.prepare import PreparedTile, prepare
 from pugeo_model.queries import input_queries, propose, select_survivors
@@ -65,7 +64,7 @@ def densify(
     with times.measure("project"):
         survivors = model.project(query)
     with times.measure("finish"):
-        return finish(prepared, survivors, ErrorFactors.of_card(model.card))
+        return finish(prepared, survivors)
 
 
 class LocalStages:

@@ -170,23 +170,22 @@ def make_plan(
     cleaned, dropped = clean(mark_labels(cloud))
     points, normalisation = normalise(cleaned.points)
     count = len(points)
-    wanted = options.points_out(count)
-    if wanted is not None:
-        _check_points_out(wanted, count, patch_ratio)
+    n_out = options.points_out(count)
+    if n_out is not None:
+        _check_points_out(n_out, count, patch_ratio)
     keeps_input = options.keeps_points(count)
-    stays = keeps_input and not options.denoise
     source = None if patch_ratio else represent(points, keep_all=keeps_input)
     if source is not None:
         points = source.centres.points
     weights = _weights(points, source, options)
-    n_out = wanted
     if n_out is None:
         n_out = _points_at_spacing(count, weights, normalisation.scale, options)
     kept = None
     if keeps_input:
         kept = np.ones(count, np.int64) if source is None else source.centres.count
     specs, noise, median_spacing = plan_tiles(points, n_out, tile_size, weights, kept)
-    if noise is not None and noise > TUNING.noise_threshold and not stays:
+    may_move = options.denoise or not keeps_input
+    if noise is not None and noise > TUNING.noise_threshold and may_move:
         # Denoising moves the margin too, so that core and margin stay consistent: all get charts.
         specs = [replace(spec, charted=len(spec.rows)) for spec in specs]
     cleaned, method = _choose_signs(cleaned, options)

@@ -63,7 +63,7 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
     inputs, input_owner = prepared.input_points
     if prepared.adds_nothing:
         in_core = prepared.core[input_owner]
-        fixed = 0 if prepared.tile.moves_input else int(np.count_nonzero(in_core))
+        fixed = prepared.tile.unmoved
         return _query(prepared, atlas, inputs[in_core], input_owner[in_core], fixed=fixed)
     tile = prepared.tile
     landed = projected.take(slice(0, len(inputs)))

@@ -137,6 +137,11 @@ class Tile:
         """Number of input points in the core, which lead the output if it keeps them."""
         return self.core if self.input is None else self.input.core
 
+    @property
+    def unmoved(self) -> int:
+        """Number of leading output points that are input points where they were."""
+        return self.kept if self.keeps_input and not self.moves_input else 0
+
 
 def plan_tiles(
     points: NDArray[np.float64],

@@ -6,7 +6,6 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from pugeo_model.expected_error import ErrorFactors
 from pugeo_model.upsampler import Upsampler
 
 SIZE = 50.0  # radius, so that units matter
@@ -92,10 +91,3 @@ def test_it_is_there_only_if_asked_for(upsampler: Upsampler, sphere: NDArray[np.
     np.testing.assert_allclose(
         scaled.scalars["expected_error"], 1000 * told.scalars["expected_error"], rtol=0.05
     )
-
-
-def test_factors_of_a_card() -> None:
-    """A card may bring factors of its own."""
-    assert ErrorFactors.of_card({}) == ErrorFactors()
-    own = ErrorFactors.of_card({"expected_error": {"factor": 2.0, "noise": 0.1}})
-    assert (own.factor, own.noise) == (2.0, 0.1)
