@@ -25,7 +25,7 @@ def bumpy(count: int, noise: float) -> tuple[NDArray[np.float64], NDArray[np.flo
     ring = np.sqrt(1 - height**2)
     unit = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
     points = unit * radius(unit)[:, None]
-    return unit, points + np.random.default_rng(0).normal(0, max(noise, 1e-12), points.shape)
+    return unit, points + np.random.default_rng(0).normal(0, noise, points.shape)
 
 
 def radius(unit: NDArray[np.float64]) -> NDArray[np.float64]:

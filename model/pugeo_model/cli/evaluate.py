@@ -41,6 +41,10 @@ def evaluate(
 ) -> None:
     """Evaluate points and normals on fixed samples; the row `limit` is an ideal sample."""
     if suite is not None:
+        given: dict[str, object] = {"--samples": samples, "--case": case, "--report": report}
+        given |= {"--baselines": baselines, "--reconstruct": reconstruct, "--card": card}
+        if useless := [flag for flag, value in given.items() if value]:
+            raise typer.BadParameter(f"--suite makes its own inputs: leave out {useless[0]}")
         _evaluate_suite(suite, model, meshes, out)
         return
     if samples is None:

@@ -70,15 +70,15 @@ class Scene:
     """A mesh for ray casting.
 
     Args:
-        shape: the shape with the mesh.
+        surface: the mesh.
     """
 
-    def __init__(self, shape: Surface) -> None:
+    def __init__(self, surface: Surface) -> None:
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-        mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False, validate=False)
-        self.shape = shape
+        mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False, validate=False)
+        self.surface = surface
         self._caster = RayMeshIntersector(mesh)
 
     def cast(
@@ -88,8 +88,8 @@ class Scene:
         origins = np.broadcast_to(origins, directions.shape)
         face = np.asarray(self._caster.intersects_first(origins, directions))
         hit = face >= 0
-        normal = self.shape.normals[face[hit]]
-        corner = self.shape.vertices[self.shape.faces[face[hit], 0]]
+        normal = self.surface.normals[face[hit]]
+        corner = self.surface.vertices[self.surface.faces[face[hit], 0]]
         slope = (directions[hit] * normal).sum(axis=1)
         slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
         distance = np.full(len(directions), np.inf)
@@ -103,7 +103,7 @@ class Scene:
         """Rows of the rays that return to the sensor, and the distances of their hits."""
         distance, face = self.cast(origins, directions)
         rows = np.flatnonzero(np.isfinite(distance) & (distance > 0.0))
-        slope = np.abs((directions[rows] * self.shape.normals[face[rows]]).sum(axis=1))
+        slope = np.abs((directions[rows] * self.surface.normals[face[rows]]).sum(axis=1))
         rows = rows[slope > _GRAZING]
         return rows, distance[rows]
 
@@ -232,7 +232,7 @@ def _strips(scene: Scene, rng: np.random.Generator) -> Scan:
 
 def _photos(scene: Scene, rng: np.random.Generator) -> Scan:
     """Photogrammetric cloud: varying density, noise, stray points, small holes."""
-    pool = scene.shape.pool.astype(np.float64)
+    pool = scene.surface.pool.astype(np.float64)
     wave = np.zeros(len(pool))
     for _ in range(6):
         wave += np.cos(pool @ rng.normal(0.0, 5.0, 3) + rng.uniform(0.0, 2.0 * np.pi))
@@ -252,7 +252,7 @@ def _photos(scene: Scene, rng: np.random.Generator) -> Scan:
 def _voxels(scene: Scene, rng: np.random.Generator) -> Scan:
     """Voxel grid: one point per voxel, at its centre or at the mean of its samples."""
     size = rng.uniform(0.012, 0.03)
-    pool = scene.shape.pool.astype(np.float64) + rng.normal(0.0, rng.uniform(0.0, 0.1) * size, 3)
+    pool = scene.surface.pool.astype(np.float64) + rng.normal(0.0, rng.uniform(0.0, 0.1) * size, 3)
     turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     local = pool @ turned
     keys = np.floor(local / size).astype(np.int64)

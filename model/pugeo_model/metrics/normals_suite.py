@@ -46,7 +46,7 @@ def _conditions(
     points, face = uniform_with_faces(truth.vertices, truth.faces, _COUNT, rng)
     diagonal = float(np.linalg.norm(np.ptp(truth.vertices, axis=0)))
     for name, share in _NOISE.items():
-        yield name, points + rng.normal(0.0, share * diagonal + 1e-300, points.shape), face
+        yield name, points + rng.normal(0.0, share * diagonal, points.shape), face
     axis = int(np.ptp(truth.vertices, axis=0).argmax())
     for name in ("stripes", "gradient"):
         pool, faces = uniform_with_faces(truth.vertices, truth.faces, 4 * _COUNT, rng)

@@ -19,7 +19,7 @@ from pugeo_model.metrics.evaluation import (
     mean_row,
     truths,
 )
-from pugeo_model.metrics.tables import LEGEND, table
+from pugeo_model.metrics.tables import legend, table
 from pugeo_model.upsampler import Upsampler
 from pugeo_model.weights import locate, read_card
 
@@ -164,7 +164,7 @@ def _document(card: dict[str, Any], rows: Rows) -> str:
     parts = [
         f"# Quality of {card['name']} {card['version']}",
         f"Weights with SHA-256 `{card['sha256']}`. The unit of length is a shape's longest side.",
-        LEGEND,
+        legend(row for sources in rows.values() for row in sources[_OURS].values()),
         f"The methods:\n\n{methods}",
         "## Means over shapes",
         means_table(rows),

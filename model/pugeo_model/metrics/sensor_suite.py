@@ -64,7 +64,7 @@ def _density_variation(
     reach = _REACH * np.sqrt(area / len(points))
     places = seen[:: max(1, len(seen) // _PLACES)]
     counts = cKDTree(points).query_ball_point(places, reach, return_length=True)
-    return float(np.std(counts) / max(float(np.mean(counts)), 1e-300))
+    return float(np.std(counts) / np.mean(counts))
 
 
 def _limit(scan: Scan, truth: Truth, seen: NDArray[np.float64]) -> dict[str, float]:

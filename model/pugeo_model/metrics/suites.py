@@ -2,7 +2,7 @@
 """Suites of the evaluation whose inputs are made from the meshes: sensors, denoising, normals."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -12,14 +12,15 @@ from pugeo_model.upsampler import Upsampler
 
 __all__ = ["SUITES", "evaluate_suite"]
 
-SUITES = ("sensors", "denoising", "normals")
-
 Rows = Callable[[Upsampler, Truth], Iterator[tuple[str, str, dict[str, float]]]]
-_MODULES = {
-    "sensors": "sensor_suite",
-    "denoising": "denoising_suite",
-    "normals": "normals_suite",
+"""Of a suite: measures one shape, and yields an input, a method and the measured columns."""
+
+SUITES = {
+    "sensors": "pugeo_model.metrics.sensor_suite",
+    "denoising": "pugeo_model.metrics.denoising_suite",
+    "normals": "pugeo_model.metrics.normals_suite",
 }
+"""Suite -> its module, which is imported only if it is asked for: sensors need the train extra."""
 
 
 def evaluate_suite(
@@ -36,13 +37,13 @@ def evaluate_suite(
         model: name of released weights or path of a ``.safetensors`` file.
         meshes: folder of ``NAME.ply``, longest side 1.
         out: JSON file for all rows.
-        tick: called with a label, the number of completed shapes and of all shapes.
+        tick: called after each row with a label, the number of completed shapes and of all.
 
     Raises:
         ModuleNotFoundError: a library is not installed.
         FileNotFoundError: there are no meshes.
     """
-    rows: Rows = import_module(f"pugeo_model.metrics.{_MODULES[suite]}").rows
+    rows: Rows = import_module(SUITES[suite]).rows
     upsampler, shapes = Upsampler(model), list(truths(meshes))
     found: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
     for done, truth in enumerate(shapes):
@@ -52,11 +53,5 @@ def evaluate_suite(
     if out:
         text = json.dumps({"/".join(key): by_shape for key, by_shape in found.items()}, indent=1)
         out.write_text(text + "\n", "utf-8")
-    return _means_table(found)
-
-
-def _means_table(found: dict[tuple[str, str], dict[str, dict[str, float]]]) -> str:
-    lines: Sequence[tuple[tuple[str, ...], dict[str, float]]] = [
-        (key, mean_row(list(by_shape.values()))) for key, by_shape in found.items()
-    ]
-    return table(lines, ("input", "method"))
+    means = ((key, mean_row(list(by_shape.values()))) for key, by_shape in found.items())
+    return table(means, ("input", "method"))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pugeo_model.metrics.evaluation import COLUMNS
 
-__all__ = ["LEGEND", "table"]
+__all__ = ["legend", "table"]
 
 
 class _Column(NamedTuple):
@@ -37,8 +37,11 @@ _COLUMNS = {
 }
 assert tuple(_COLUMNS) == COLUMNS
 
-LEGEND = "\n".join(f"- {column.heading}: {column.meaning}" for column in _COLUMNS.values())
-"""Meanings of the columns, as a Markdown list."""
+
+def legend(rows: Iterable[Mapping[str, float]]) -> str:
+    """Return the meanings of the columns that rows have, as a Markdown list."""
+    shown = _shown(rows)
+    return "\n".join(f"- {_COLUMNS[name].heading}: {_COLUMNS[name].meaning}" for name in shown)
 
 
 def table(
@@ -51,7 +54,7 @@ def table(
         labels: headings of the leading columns.
     """
     rows = list(rows)
-    shown = [name for name in COLUMNS if any(name in row for _, row in rows)]
+    shown = _shown(row for _, row in rows)
     lines = [
         [*labels, *(_COLUMNS[name].heading for name in shown)],
         ["---"] * len(labels) + ["---:"] * len(shown),
@@ -61,3 +64,9 @@ def table(
         ),
     ]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _shown(rows: Iterable[Mapping[str, float]]) -> list[str]:
+    """Columns that any row has, in their usual order."""
+    found = {name for row in rows for name in row}
+    return [name for name in COLUMNS if name in found]

@@ -72,6 +72,11 @@ def test_the_command(meshes):
     wrong = CliRunner().invoke(app, ["evaluate", "--meshes", str(meshes), "--suite", "all"])
     assert wrong.exit_code == 2
     assert "sensors, denoising, normals" in " ".join(wrong.output.split())
+    both = CliRunner().invoke(
+        app, ["evaluate", "--meshes", str(meshes), "--suite", "normals", "--card"]
+    )
+    assert both.exit_code == 2
+    assert "leave out --card" in " ".join(both.output.split())
     none = CliRunner().invoke(app, ["evaluate", "--meshes", str(meshes)])
     assert none.exit_code == 2
     assert "--samples" in none.output
