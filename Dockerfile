@@ -15,7 +15,7 @@ COPY deploy/requirements.py deploy/
 RUN --mount=type=cache,target=/root/.cache/pip \
     pip install --no-deps --index-url "${TORCH_INDEX_URL}" "torch==${TORCH_VERSION}"
 RUN --mount=type=cache,target=/root/.cache/pip \
-    python deploy/requirements.py otel preview > requirements.txt \
+    python deploy/requirements.py otel surfaces > requirements.txt \
     && pip install --constraint constraints.txt --requirement requirements.txt hatchling
 COPY LICENSE README.md ./
 COPY client client

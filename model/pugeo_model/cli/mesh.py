@@ -21,7 +21,7 @@ def check_library() -> None:
 
         library()
     except ModuleNotFoundError as missing:
-        raise needed_extra(missing, "evaluate") from missing
+        raise needed_extra(missing, "surfaces") from missing
 
 
 def write_mesh(cloud: Cloud, path: Path) -> dict[str, Any]:

@@ -331,6 +331,7 @@ class DaskBackend:
     def _processes(self) -> set[psutil.Process]:
         """Return our own worker processes, also those that are starting."""
         found: set[psutil.Process] = set()
+        # `workers` holds only the ones that have reported to the scheduler.
         created = [] if self._cluster is None else self._cluster._created  # noqa: SLF001
         for nanny in list(created):
             process = nanny.process and nanny.process.process

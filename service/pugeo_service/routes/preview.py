@@ -60,7 +60,7 @@ async def preview(request: Request, service: ServiceDep) -> Response:
         except ModuleNotFoundError as error:
             detail = (
                 "This service has no library for surfaces; its operator installs it with the "
-                "extra preview."
+                "extra surfaces."
             )
             raise ProblemError(501, "no_surfaces", detail, retryable=False) from error
         count_run(service.telemetry, result)
