@@ -327,8 +327,7 @@ def test_dashboards_and_alerts_know_the_metrics(root: Path) -> None:
     """Each metric that a panel or an alert names is one that the service tells."""
     from pugeo_service.observability.telemetry import Readings, Telemetry
 
-    card = {"name": "standard", "version": "1", "sha256": "0"}
-    telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1", card)
+    telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1")
     told = set()
     for metric in telemetry.registry.collect():
         suffixes = {"counter": ["_total"], "histogram": ["_bucket", "_sum", "_count"]}

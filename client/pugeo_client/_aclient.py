@@ -126,7 +126,7 @@ class AsyncClient:
         on_progress: Progress | None,
     ) -> Result:
         try:
-            job = await self._submit(request, None, end - time.monotonic(), on_progress)
+            job = await self._submit(request, None, None, end - time.monotonic(), on_progress)
         except StatusError as refusal:
             raise failure from refusal
         try:
@@ -189,25 +189,30 @@ class AsyncClient:
         *,
         format: str = "ply",
         idempotency_key: str | None = None,
+        webhook: str | None = None,
         timeout: float | None = None,  # noqa: ASYNC109 - spans the retries
         on_progress: Progress | None = None,
         **options: Unpack[Options],
     ) -> AsyncJob:
         """Submit a cloud as a job; arguments, result and errors are those of `Client.submit`."""
         request = upsample_request(src, ratio, format, **options)
-        return await self._submit(request, idempotency_key, timeout, on_progress)
+        return await self._submit(request, idempotency_key, webhook, timeout, on_progress)
 
     async def _submit(
         self,
         upsample: Request,
         key: str | None,
+        webhook: str | None,
         timeout: float | None,  # noqa: ASYNC109 - spans the retries
         on_progress: Progress | None,
     ) -> AsyncJob:
         return AsyncJob(
             self._connection,
             await self._connection.document(
-                submit_request(upsample, key), dict, timeout=timeout, on_progress=on_progress
+                submit_request(upsample, key, webhook),
+                dict,
+                timeout=timeout,
+                on_progress=on_progress,
             ),
         )
 

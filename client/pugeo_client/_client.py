@@ -154,7 +154,7 @@ class Client:
         on_progress: Progress | None,
     ) -> Result:
         try:
-            job = self._submit(request, None, end - time.monotonic(), on_progress)
+            job = self._submit(request, None, None, end - time.monotonic(), on_progress)
         except StatusError as refusal:
             raise failure from refusal
         try:
@@ -222,6 +222,7 @@ class Client:
         *,
         format: str = "ply",
         idempotency_key: str | None = None,
+        webhook: str | None = None,
         timeout: float | None = None,
         on_progress: Progress | None = None,
         **options: Unpack[Options],
@@ -236,6 +237,7 @@ class Client:
             format: of the result, as in `upsample`.
             idempotency_key: name of the job: submitting the same again under it returns the same
                 job, also from another process. By default a random one for each call.
+            webhook: address that gets a signed POST when the job has ended.
             timeout: seconds for the submission; that of the client by default.
             on_progress: called with ``"send"``, bytes done, bytes in total.
             **options: as in `upsample`.
@@ -245,19 +247,23 @@ class Client:
             PugeoError: as `upsample`.
         """
         request = upsample_request(src, ratio, format, **options)
-        return self._submit(request, idempotency_key, timeout, on_progress)
+        return self._submit(request, idempotency_key, webhook, timeout, on_progress)
 
     def _submit(
         self,
         upsample: Request,
         key: str | None,
+        webhook: str | None,
         timeout: float | None,
         on_progress: Progress | None,
     ) -> Job:
         return Job(
             self._connection,
             self._connection.document(
-                submit_request(upsample, key), dict, timeout=timeout, on_progress=on_progress
+                submit_request(upsample, key, webhook),
+                dict,
+                timeout=timeout,
+                on_progress=on_progress,
             ),
         )
 

@@ -142,6 +142,7 @@ class Options(TypedDict, total=False):
         denoise: with ratio 1, the input points are moved onto the surface.
         confidence: the answer has the scalar ``expected_error``: the distance from the true surface
             that is expected of each point, in the units of the cloud.
+        model: name of a model of the service, see `Client.models`; its default by default.
     """
 
     R: float | None
@@ -155,6 +156,7 @@ class Options(TypedDict, total=False):
     max_gap: float | None
     denoise: bool
     confidence: bool
+    model: str | None
 
 
 def upsample_request(
@@ -173,6 +175,7 @@ def upsample_request(
     max_gap: float | None = None,
     denoise: bool = False,
     confidence: bool = False,
+    model: str | None = None,
 ) -> Request:
     """Build ``POST /upsample``.
 
@@ -190,6 +193,8 @@ def upsample_request(
     params |= _number_of_points(ratio, R, n_points, spacing)
     switches = {"keep_input": keep_input, "denoise": denoise, "confidence": confidence}
     params |= {name: "true" for name, value in switches.items() if value}
+    if model is not None:
+        params["model"] = str(model)
     if density != "input":
         params["density"] = str(density)
     if max_gap is not None:
@@ -204,13 +209,14 @@ def upsample_request(
     return Request("POST", "/upsample", params=params, headers=headers, body=body, timed=True)
 
 
-def submit_request(upsample: Request, key: str | None) -> Request:
+def submit_request(upsample: Request, key: str | None, webhook: str | None) -> Request:
     """Turn the request of an upsampling into that of a job.
 
     Args:
         upsample: result of `upsample_request`.
         key: ``Idempotency-Key``: a repeated request with the same key makes no second job. By
             default a random one, which covers the retries of one call.
+        webhook: address that gets a signed POST when the job has ended, or ``None``.
 
     Raises:
         SourceError: the key is not 1 to 255 printable ASCII characters.
@@ -218,7 +224,8 @@ def submit_request(upsample: Request, key: str | None) -> Request:
     if key is not None and not _KEY.fullmatch(key):
         raise SourceError("idempotency_key must be 1 to 255 printable ASCII characters")
     headers = {**upsample.headers, "Idempotency-Key": key or secrets.token_hex(16)}
-    return replace(upsample, path="/jobs", headers=headers, timed=False)
+    params = dict(upsample.params) | ({} if webhook is None else {"webhook": webhook})
+    return replace(upsample, path="/jobs", params=params, headers=headers, timed=False)
 
 
 def job_request(method: str, job_id: str, path: str = "") -> Request:

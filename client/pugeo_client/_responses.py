@@ -86,6 +86,7 @@ def meta_from_headers(headers: Mapping[str, str]) -> Meta:
         if name.startswith(_DROPPED) and (count := _count(value)) is not None
     }
     return Meta(
+        model=headers.get("pugeo-model", ""),
         model_version=headers.get("pugeo-model-version", ""),
         model_sha256=headers.get("pugeo-model-sha256", ""),
         request_id=headers.get("x-request-id", ""),

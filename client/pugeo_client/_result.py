@@ -33,8 +33,8 @@ class Meta:
     """Description of a result, from the headers of the answer.
 
     Attributes:
-        model_version: version of the model. Empty, like all that follows, where the service did
-            not say.
+        model: name of the model. Empty, like all that follows, where the service did not say.
+        model_version: its version.
         model_sha256: checksum of its weights.
         request_id: id of the request in the log of the service.
         points_in: number of points in the input.
@@ -45,6 +45,7 @@ class Meta:
         notes: sentences about what the service guessed or left out.
     """
 
+    model: str = ""
     model_version: str = ""
     model_sha256: str = ""
     request_id: str = ""

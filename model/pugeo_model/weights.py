@@ -3,12 +3,16 @@
 
 import hashlib
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pugeo_model.errors import BadOptionError
 
-__all__ = ["available", "load", "load_or_explain", "locate", "read_card", "save", "start_from"]
+__all__ = [
+    "Weights", "available", "build", "load", "load_or_explain", "locate", "read", "read_card",
+    "save", "start_from",
+]  # fmt: skip
 
 _RELEASED = Path(__file__).parent / "released"
 
@@ -38,21 +42,31 @@ def locate(name_or_path: str | Path) -> Path:
     return path
 
 
-def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
-    """Read the model card of released or own weights.
+@dataclass(frozen=True)
+class Weights:
+    """The bytes of a ``.safetensors`` file and its model card, which belong together.
 
-    Returns:
-        The card, with the ``sha256`` of the weights. A card that states another one is refused:
-        the weights are damaged, or belong to another card.
+    Attributes:
+        card: the card, with the ``sha256`` of the bytes.
+        data: the bytes.
+    """
+
+    card: dict[str, Any]
+    data: bytes
+
+
+def read(name_or_path: str | Path) -> Weights:
+    """Read released or own weights, and compare them with their card.
 
     Raises:
-        BadOptionError: no such weights or card, or they do not belong together.
+        BadOptionError: no such weights or card, or they do not belong together: a card that states
+            another ``sha256`` means that the file is damaged, or the card that of other weights.
     """
     path = locate(name_or_path)
     card_path = path.with_suffix(".json")
     try:
         found_card: Any = json.loads(card_path.read_text("utf-8"))
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        data = path.read_bytes()
     except FileNotFoundError:
         raise _unusable(
             name_or_path, f"their card {card_path.name} is missing beside them"
@@ -64,42 +78,57 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     if not isinstance(found_card, dict) or "architecture" not in found_card:
         raise _unusable(name_or_path, f"their card {card_path.name} names no architecture")
     card: dict[str, Any] = found_card
+    found = hashlib.sha256(data).hexdigest()
     if card.setdefault("sha256", found) != found:
         raise _unusable(
             name_or_path,
             f"their sha256 is {found[:12]}..., their card says {str(card['sha256'])[:12]}...: the "
             "file is damaged or belongs to another card",
         )
-    return card
+    return Weights(card, data)
+
+
+def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
+    """Read the model card of released or own weights; see `read`."""
+    return read(name_or_path).card
 
 
 def load(name_or_path: str | Path = "standard") -> Any:
-    """Build the network that a card describes and load its weights.
+    """Build the network that a card describes and load its weights; see `read` and `build`."""
+    return build(read(name_or_path), name_or_path)
+
+
+def build(weights: Weights, name: str | Path) -> Any:
+    """Build the network that a card describes, with its weights.
+
+    Args:
+        weights: the card and the bytes.
+        name: of the weights, for errors.
 
     Returns:
         A ``Model``, which predicts charts, or a ``PatchModel``, which upsamples whole patches.
 
     Raises:
-        BadOptionError: no such weights, damaged ones, or of another network than their card says.
+        BadOptionError: damaged weights, or those of another network than their card says.
     """
     from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    from safetensors.torch import load as load_tensors
 
     from pugeo_model.network.build import build_network
     from pugeo_model.network.model import Model
     from pugeo_model.network.patch_model import PatchModel
     from pugeo_model.network.pugeo import Architecture, PUGeoNet
 
-    card = read_card(name_or_path)
+    card = weights.card
     try:
         net = build_network(Architecture.from_json(card["architecture"]))
-        net.load_state_dict(load_file(locate(name_or_path)))
+        net.load_state_dict(load_tensors(weights.data))
     except SafetensorError as error:
-        raise _unusable(name_or_path, f"the file is damaged: {error}") from None
+        raise _unusable(name, f"the file is damaged: {error}") from None
     except (RuntimeError, TypeError, KeyError, ValueError) as error:
         # torch names each tensor that differs; the first line and the first tensor say enough.
         reason = " ".join(str(error).split())[:200]
-        raise _unusable(name_or_path, f"not of the network of their card: {reason}") from None
+        raise _unusable(name, f"not of the network of their card: {reason}") from None
     return Model(net, card) if isinstance(net, PUGeoNet) else PatchModel(net, card)
 
 

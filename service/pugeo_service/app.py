@@ -14,7 +14,6 @@ import structlog
 from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
-from pugeo_model import weights
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_service import __version__, problems
 from pugeo_service.admission.admission import Admission
@@ -28,10 +27,12 @@ from pugeo_service.http.query_names import check_query
 from pugeo_service.http.security_headers import CORS
 from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
+from pugeo_service.models import Models
 from pugeo_service.observability import tracing
 from pugeo_service.observability.telemetry import Readings, Telemetry
-from pugeo_service.routes import docs, health, metrics, models, page, preview, upsample
+from pugeo_service.routes import docs, health, metrics, page, preview, upsample
 from pugeo_service.routes import jobs as job_routes
+from pugeo_service.routes import models as model_routes
 from pugeo_service.settings import Settings
 
 __all__ = ["create_app", "create_service"]
@@ -40,14 +41,9 @@ _log = structlog.stdlib.get_logger("pugeo.service")
 _RELEASE_MEMORY_S = 10.0
 
 
-def create_service(settings: Settings) -> Service:
-    """Build all parts of the service without starting any.
-
-    Raises:
-        BadOptionError: there are no weights of the given name.
-    """
-    card = weights.read_card(settings.model)
-    engine = Engine(settings)
+def create_service(settings: Settings, models: Models) -> Service:
+    """Build all parts of the service without starting any."""
+    engine = Engine(settings, models.default.id)
     admission = Admission(settings.queue_patches, settings.queue_bytes, settings.queue_requests)
 
     def read() -> Readings:
@@ -63,13 +59,12 @@ def create_service(settings: Settings) -> Service:
             jobs_queued=jobs.usage.queued,
             jobs_running=jobs.usage.running,
             jobs_bytes=jobs.usage.bytes,
+            models=[model.described for model in models],
         )
 
-    model = {key: str(card[key]) for key in ("name", "version", "sha256")}
-    telemetry = Telemetry(read, __version__, model)
-    weights_used = {key: model[key] for key in ("version", "sha256")}
+    telemetry = Telemetry(read, __version__)
     keys = Keys(settings.api_keys_file, settings.api_keys)
-    jobs = JobManager(settings, engine, telemetry, weights_used, keys.version)
+    jobs = JobManager(settings, engine, telemetry, models, keys.version)
     return Service(
         settings=settings,
         engine=engine,
@@ -77,7 +72,7 @@ def create_service(settings: Settings) -> Service:
         jobs=jobs,
         keys=keys,
         telemetry=telemetry,
-        card=card,
+        models=models,
     )
 
 
@@ -85,6 +80,7 @@ def create_app(
     settings: Settings | None = None,
     on_fatal: Callable[[], object] = lambda: None,
     on_ready: Callable[[], object] = lambda: None,
+    models: Models | None = None,
 ) -> FastAPI:
     """Make the application.
 
@@ -92,20 +88,27 @@ def create_app(
         settings: settings; from the environment by default.
         on_fatal: called if the engine cannot start, because no request could be served.
         on_ready: called once the engine has started.
+        models: those of the settings by default.
+
+    Raises:
+        BadOptionError: the default model or the canary cannot be used.
     """
-    service = create_service(settings or Settings())
+    settings = settings or Settings()
+    service = create_service(settings, models or Models(settings))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # In the background, so that probes are answered while the model is loading.
         starting = asyncio.create_task(_start(service, on_fatal, on_ready))
         releasing = asyncio.create_task(_release_memory())
+        watching = asyncio.create_task(service.models.watch(service.engine))
         await service.jobs.start()
         yield
         service.drain()
-        for task in (starting, releasing):
+        background = (starting, releasing, watching)
+        for task in background:
             task.cancel()
-        await asyncio.gather(starting, releasing, return_exceptions=True)
+        await asyncio.gather(*background, return_exceptions=True)
         # Before the workers: running jobs are queued again and their tasks cancelled.
         await service.jobs.stop()
         await service.engine.stop()
@@ -131,7 +134,7 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, preview, job_routes, models):
+    for module in (upsample, preview, job_routes, model_routes):
         app.include_router(module.router, dependencies=[Depends(check_query)])
     for other in (health, docs, page):
         app.include_router(other.router)
@@ -145,6 +148,7 @@ async def _start(
     service: Service, on_fatal: Callable[[], object], on_ready: Callable[[], object]
 ) -> None:
     try:
+        await service.models.install(service.engine)
         await service.engine.start()
     except EngineStartError as error:
         _log.error("the engine cannot start", reason=str(error))
@@ -154,7 +158,7 @@ async def _start(
         _log.exception("the engine cannot start")
         on_fatal()
         return
-    _log.info("ready", workers=service.engine.status.workers, model=service.card["name"])
+    _log.info("ready", workers=service.engine.status.workers, model=service.models.default.name)
     on_ready()
 
 

@@ -35,7 +35,13 @@ def serve(
     scheduler: Annotated[
         str | None, Option(help="tls://host:port of an external Dask cluster.")
     ] = None,
-    model: Annotated[str | None, Option(help="Name or path of the weights [standard].")] = None,
+    model: Annotated[
+        str | None, Option(help="Default model, or path of its weights [standard].")
+    ] = None,
+    models_dir: Annotated[Path | None, Option(help="Folder of further models.")] = None,
+    canary: Annotated[
+        str | None, Option(help="NAME:SHARE of a model for some of the requests.")
+    ] = None,
     max_body_bytes: Annotated[int | None, Option(help="Maximum bytes of a body.")] = None,
     max_points: Annotated[int | None, Option(help="Maximum points of an input.")] = None,
     max_output_points: Annotated[int | None, Option(help="Maximum points of an answer.")] = None,

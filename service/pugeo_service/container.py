@@ -2,7 +2,7 @@
 """Container of all parts that routes share."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 from fastapi import Depends, Request
 
@@ -10,6 +10,7 @@ from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
 from pugeo_service.jobs import JobManager
 from pugeo_service.keys import Keys
+from pugeo_service.models import Models
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.settings import Settings
 
@@ -27,7 +28,7 @@ class Service:
         jobs: background jobs.
         keys: API keys.
         telemetry: metrics.
-        card: model card.
+        models: models by name.
     """
 
     settings: Settings
@@ -36,7 +37,7 @@ class Service:
     jobs: JobManager
     keys: Keys
     telemetry: Telemetry
-    card: dict[str, Any]
+    models: Models
 
     def drain(self) -> None:
         """Refuse new requests; admitted ones are finished, running jobs are queued again."""

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that requests and jobs share: making run requests, reporting failures, counting runs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import structlog
 
-from pugeo_service.engine import DiskError, EngineLostError, RunRequest, RunResult, WorkerLostError
+from pugeo_service.engine import (
+    DiskError,
+    EngineLostError,
+    ModelId,
+    RunRequest,
+    RunResult,
+    WorkerLostError,
+    WrongWeightsError,
+)
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
@@ -22,6 +30,7 @@ def make_run_request(
     settings: Settings,
     options: dict[str, Any],
     *,
+    model: ModelId,
     format: str | None,
     answer: str,
     deadline_s: float,
@@ -30,7 +39,7 @@ def make_run_request(
 ) -> RunRequest:
     """Make a run request; the other attributes of `RunRequest` come from the settings."""
     return RunRequest(
-        model=settings.model,
+        model=model,
         format=format,
         answer=answer,
         options=options,
@@ -50,8 +59,8 @@ def engine_problems() -> Iterator[None]:
 
     Raises:
         ProblemError: 422 ``worker_lost`` or ``out_of_memory``, the cloud needs more memory or time
-            than a worker has; 503 ``engine_lost``, the workers cannot be reached; 503 of
-            `storage_problem`.
+            than a worker has; 503 ``engine_lost``, the workers cannot be reached; 503
+            ``wrong_weights``, they have other weights than the front; 503 of `storage_problem`.
     """
     try:
         yield
@@ -68,6 +77,10 @@ def engine_problems() -> Iterator[None]:
         _log.error("engine lost", reason=str(error))
         detail = "The workers cannot be reached; try again after the time in Retry-After."
         raise ProblemError(503, "engine_lost", detail, retry_after=5) from error
+    except WrongWeightsError as error:
+        _log.error("a worker has other weights", reason=str(error))
+        detail = f"The service is not set up in order: {error}."
+        raise ProblemError(503, "wrong_weights", detail, retry_after=30) from error
     except DiskError as error:
         raise storage_problem(error.error) from error
     except MemoryError as error:
@@ -79,8 +92,9 @@ def engine_problems() -> Iterator[None]:
         raise ProblemError(422, "out_of_memory", detail, retryable=False, fields=fields) from error
 
 
-def count_run(telemetry: Telemetry, result: RunResult) -> None:
-    """Count stages, batches and points of a successful run."""
+def count_run(telemetry: Telemetry, result: RunResult, model: Mapping[str, str]) -> None:
+    """Count stages, batches and points of a successful run of a model."""
+    telemetry.runs.labels(model["name"], model["version"], model["sha256"][:12]).inc()
     for stage, seconds in result.seconds.items():
         if stage == "queue":
             telemetry.queue_wait.observe(seconds)

@@ -17,14 +17,16 @@ import uvicorn
 from prometheus_client import make_asgi_app
 from pydantic import ValidationError
 
+from pugeo_model.errors import BadOptionError
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
 from pugeo_service.engine.children import end_children
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
+from pugeo_service.models import Models
 from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.preflight import unfit_machine, unfit_weights
+from pugeo_service.preflight import unfit_machine
 from pugeo_service.settings import Settings, explain, unknown_names
 
 __all__ = ["main", "serve"]
@@ -107,8 +109,13 @@ def serve(settings: Settings) -> int:
     The address is printed on stdout at once, because port 0 selects a free port, and once more when
     requests are served.
     """
-    if problem := tracing.missing_extra() or unfit_machine(settings) or unfit_weights(settings):
+    if problem := tracing.missing_extra() or unfit_machine(settings):
         sys.stderr.write(problem + "\n")
+        return 2
+    try:
+        models = Models(settings)
+    except BadOptionError as error:
+        sys.stderr.write(error.message + "\n")
         return 2
     logs.configure(settings.log_format, settings.log_level)
     for name, similar in unknown_names(os.environ).items():
@@ -124,7 +131,7 @@ def serve(settings: Settings) -> int:
         if server is not None:
             server.fail()
 
-    app = create_app(settings, on_fatal, on_ready)
+    app = create_app(settings, on_fatal, on_ready, models)
     config = uvicorn.Config(
         app,
         host=settings.host,

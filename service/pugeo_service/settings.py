@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings from the environment (``PUGEO_*``) or the command line."""
 
+import base64
 import difflib
+import math
 import os
 import re
 import ssl
@@ -64,7 +66,18 @@ class Settings(BaseSettings):
     log_format: Literal["auto", "json", "console"] = "auto"
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
-    model: Annotated[str, Field(description="name or path of the weights")] = "standard"
+    model: Annotated[
+        str, Field(description="name of the default model, or path of its weights")
+    ] = "standard"
+    models_dir: Annotated[
+        Path | None,
+        Field(description="folder of further models, read again when it changes"),
+    ] = None
+    canary: Annotated[
+        tuple[str, float] | None,
+        NoDecode,
+        Field(description="NAME:SHARE of a model for a share of the requests that name none"),
+    ] = None
     engine: Annotated[
         Literal["dask", "inline"],
         Field(description="inline: threads in this process, for debugging"),
@@ -152,6 +165,30 @@ class Settings(BaseSettings):
     jobs_ttl_s: Annotated[Seconds, Field(description="seconds until a result is deleted")] = 86400.0
     jobs_deadline_s: Annotated[Seconds, Field(description="maximum seconds of a job")] = 3600.0
 
+    webhook_secret: Annotated[
+        str | None,
+        Field(description="whsec_BASE64: signs webhooks of jobs; without it there are none"),
+    ] = None
+    webhook_private: Annotated[
+        bool, Field(description="webhooks may go to addresses that are not public")
+    ] = False
+
+    @field_validator("webhook_secret")
+    @classmethod
+    def _signing_key(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        try:
+            key = base64.b64decode(value.removeprefix("whsec_"), validate=True)
+        except ValueError:
+            key = b""
+        if not value.startswith("whsec_") or not 24 <= len(key) <= 64:
+            raise ValueError(
+                "must be whsec_ and 24 to 64 bytes in base64, such as the output of "
+                "echo whsec_$(head -c 32 /dev/urandom | base64)"
+            )
+        return value
+
     @field_validator("api_keys", mode="before")
     @classmethod
     def _entries(cls, value: Any) -> Any:
@@ -179,6 +216,27 @@ class Settings(BaseSettings):
                 raise ValueError(f"{origin!r} is not an origin such as https://example.org")
         return tuple(filter(None, origins))
 
+    @field_validator("canary", mode="before")
+    @classmethod
+    def _name_and_share(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        name, _, share = value.partition(":")
+        try:
+            part = float(share)
+        except ValueError:
+            part = math.nan
+        if not name or not 0.0 <= part <= 1.0:
+            raise ValueError("must be NAME:SHARE with a share from 0 to 1, such as next:0.05")
+        return name, part
+
+    @field_validator("models_dir")
+    @classmethod
+    def _models(cls, value: Path | None) -> Path | None:
+        if value is not None and not value.is_dir():
+            raise ValueError("is not a folder")
+        return value
+
     @field_validator("scheduler")
     @classmethod
     def _encrypted(cls, value: str | None) -> str | None:
@@ -204,7 +262,9 @@ class Settings(BaseSettings):
             raise ValueError("PostgreSQL needs: pip install 'pugeo[postgres]'")
         return value
 
-    @field_validator("spool_dir", "jobs_dir", "tls_ca", "tls_cert", "tls_key", mode="before")
+    @field_validator(
+        "spool_dir", "jobs_dir", "models_dir", "tls_ca", "tls_cert", "tls_key", mode="before"
+    )
     @classmethod
     def _path(cls, value: Any) -> Any:
         # An empty path would be the current folder.
@@ -313,7 +373,7 @@ class Settings(BaseSettings):
 
 
 # Values that may contain a secret.
-_SECRET = frozenset({"api_keys", "database_url"})
+_SECRET = frozenset({"api_keys", "database_url", "webhook_secret"})
 
 
 def explain(error: ValidationError) -> Iterator[str]:

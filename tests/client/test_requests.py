@@ -167,7 +167,7 @@ def test_ids_that_no_url_carries(job_id: str) -> None:
 def test_idempotency_keys(key: str) -> None:
     """A key that the service would refuse, or that no header carries, is refused here."""
     with pytest.raises(SourceError, match="idempotency_key"):
-        _requests.submit_request(build(), key)
+        _requests.submit_request(build(), key, None)
 
 
 def test_extensions_are_those_that_the_service_writes() -> None:

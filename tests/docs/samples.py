@@ -94,11 +94,20 @@ def samples(target: Path) -> None:
         sample(f"gt/torus_{count}.ply", count)
 
 
+def weights(target: Path) -> None:
+    """Weights with their card, as of a training."""
+    from pugeo_model.weights import locate
+
+    for suffix in (".safetensors", ".json"):
+        shutil.copy(locate("fast").with_suffix(suffix), target.with_suffix(suffix))
+
+
 FILES: dict[str, Callable[[Path], None]] = {
     "tile.las": tile,
     "frame.bin": frame,
     "scans": scans,
     "meshes": meshes,
     "samples": samples,
+    "mine.safetensors": weights,
 }
 """Name on a page -> function that makes the file or folder of that name."""

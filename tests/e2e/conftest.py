@@ -124,9 +124,13 @@ def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManag
 
 @pytest.fixture(scope="session")
 def server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The service that most tests share; its limit of a body is 32 MiB."""
-    log = tmp_path_factory.mktemp("service") / "server.log"
-    with launched(log, "--max-body-bytes", str(32 << 20), "--max-points", "300000") as running:
+    """The service that most tests share: 32 MiB a body, a folder of models, `fast` as canary."""
+    folder = tmp_path_factory.mktemp("service")
+    log, models = folder / "server.log", folder / "models"
+    models.mkdir()
+    limits = ("--max-body-bytes", str(32 << 20), "--max-points", "300000")
+    offered = {"PUGEO_MODELS_DIR": str(models), "PUGEO_CANARY": "fast:0"}
+    with launched(log, *limits, **offered) as running:
         running.wait_until_ready()
         yield running
         assert running.stop() == 0, log.read_text()[-4000:]

@@ -218,9 +218,10 @@ def test_refusals_are_typed(
 def test_health_and_models(ask: Ask) -> None:
     """The service reports that it is ready, and which model it runs."""
     assert ask(lambda client: client.health())["status"] == "ready"
-    (card,) = ask(lambda client: client.models())
+    card, *others = ask(lambda client: client.models())
     assert card["name"] == "standard"
     assert len(card["sha256"]) == 64
+    assert {"fast", "scans"} <= {other["name"] for other in others}
 
 
 def test_a_wrong_address(server: Server) -> None:

@@ -41,7 +41,7 @@ def run_here(tasks: Sequence[Task], settings: Settings, progress: Progress) -> I
     """
     from pugeo_model.upsampler import Upsampler
 
-    upsampler = Upsampler(settings.model)
+    upsampler = Upsampler(settings.weights)
     total, done = sum(task.size for task in tasks), 0
     for number, task in enumerate(tasks):
 
@@ -146,7 +146,7 @@ def _start(settings: Settings, parts: Any) -> None:
     # Ctrl-C reaches all processes of a terminal; the first one tells the others to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    _process.update(settings=settings, parts=parts, upsampler=Upsampler(settings.model))
+    _process.update(settings=settings, parts=parts, upsampler=Upsampler(settings.weights))
 
 
 def _do(number: int, task: Task) -> Outcome:

@@ -74,6 +74,7 @@ def run_remotely(
         progress: told what is done.
     """
     total, done = sum(task.size for task in tasks), 0
+    options = settings.options | ({} if settings.model is None else {"model": settings.model})
 
     def show(stage: str, part: int, whole: int) -> None:
         if len(tasks) == 1:
@@ -88,7 +89,7 @@ def run_remotely(
                 task.source or sys.stdin.buffer,
                 task.target or sys.stdout.buffer,
                 task.format,
-                settings.options,
+                options,
                 show,
             )
         except (service.error_type, OSError) as error:

@@ -43,13 +43,18 @@ class Settings:
 
     Attributes:
         options: keyword arguments of :class:`pugeo_model.options.Options`.
-        model: name or path of the weights.
+        model: name or path of the weights; ``None``: the default.
         mesh: file for a mesh of the result, or ``None``.
     """
 
     options: dict[str, Any]
-    model: str = "standard"
+    model: str | None = None
     mesh: Path | None = None
+
+    @property
+    def weights(self) -> str:
+        """Name or path of the weights to run here."""
+        return self.model or "standard"
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,11 @@ def upsample(
         bool, typer.Option("--confidence", help="Add the expected error of each point, a scalar.")
     ] = False,
     model: Annotated[
-        str | None, typer.Option(help="Released weights or a .safetensors file [standard].")
+        str | None,
+        typer.Option(
+            help="Released weights or a .safetensors file; with --url a model of the service "
+            "[standard]."
+        ),
     ] = None,
     format: Annotated[
         str | None,
@@ -108,7 +112,7 @@ def upsample(
             confidence=confidence,
             denoise=denoise,
         ),
-        model or "standard",
+        model,
         mesh,
     )
     _check_combination(
@@ -166,7 +170,7 @@ def _run(
     from pugeo_model.kernel_cache import compile_kernels
     from pugeo_model.weights import locate
 
-    locate(settings.model)
+    locate(settings.weights)
     compile_kernels(say)
     # A process takes some seconds to start, which it must have work for.
     worth = 1 + sum(task.size for task in tasks) // _BYTES_PER_PROCESS
@@ -221,8 +225,8 @@ def _check_combination(
         raise typer.BadParameter("--overwrite and --skip-existing exclude each other")
     if jobs and url is None:
         raise typer.BadParameter("--jobs needs the address of a service: give --url")
-    if url is not None and model is not None:
-        raise typer.BadParameter("--model is chosen by the service: leave it out with --url")
+    if url is not None and model is not None and model.endswith(".safetensors"):
+        raise typer.BadParameter("a service has models by name: give --model a name with --url")
     if url is not None and mesh is not None:
         raise typer.BadParameter("--mesh is made here: leave it out with --url")
     if out == "-" and as_json:

@@ -7,8 +7,9 @@ from pugeo_service.engine.errors import (
     EngineLostError,
     EngineStartError,
     WorkerLostError,
+    WrongWeightsError,
 )
-from pugeo_service.engine.messages import BodyReader, RunRequest, RunResult
+from pugeo_service.engine.messages import BodyReader, ModelId, RunRequest, RunResult
 
 __all__ = [
     "BodyReader",
@@ -16,7 +17,9 @@ __all__ = [
     "Engine",
     "EngineLostError",
     "EngineStartError",
+    "ModelId",
     "RunRequest",
     "RunResult",
     "WorkerLostError",
+    "WrongWeightsError",
 ]

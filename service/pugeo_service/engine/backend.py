@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of backends, which run the tasks of the engine."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from pugeo_model.weights import Weights
 
 __all__ = ["CORE", "Backend", "Handle", "is_quick", "quick"]
 
@@ -43,6 +48,12 @@ class Backend(Protocol):
 
     async def stop(self) -> None:
         """Stop everything that was started."""
+
+    async def install(self, weights: Weights) -> None:
+        """Give weights to all workers, also to those that come later; once for each sha256."""
+
+    async def remove(self, sha256: str) -> None:
+        """Take weights away that were installed."""
 
     @property
     def warm_workers(self) -> int:

@@ -23,10 +23,12 @@ from distributed import scheduler
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
+from pugeo_model.weights import Weights
 from pugeo_service.engine.backend import CORE, Handle, is_quick
 from pugeo_service.engine.children import end_processes
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.heartbeats import HeartbeatWatch
+from pugeo_service.engine.model_plugin import ModelPlugin
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.worker import run_stage
 from pugeo_service.settings import Settings
@@ -105,6 +107,8 @@ class DaskBackend:
         self.worker_memory: int | None = None
         self.lost_workers = 0
         self.retried_patches = 0
+        # Weights that workers do not have by themselves.
+        self._weights: dict[str, Weights] = {}
         # Distinguishes the tasks of this front from those of others at the same scheduler.
         self._name = secrets.token_hex(6)
 
@@ -194,6 +198,19 @@ class DaskBackend:
         finally:
             end_processes(processes | self._processes())
 
+    async def install(self, weights: Weights) -> None:
+        """Give weights to all workers, also to those that come later."""
+        self._weights[weights.card["sha256"]] = weights
+        if self._client is not None:
+            await self._client.register_plugin(ModelPlugin(weights, self._name))
+
+    async def remove(self, sha256: str) -> None:
+        """Take weights away from all workers."""
+        if self._weights.pop(sha256, None) is not None and self._client is not None:
+            name = ModelPlugin.name_of(sha256, self._name)
+            with contextlib.suppress(ValueError, OSError):  # a new scheduler does not know it
+                await self._client.unregister_worker_plugin(name)
+
     def submit(
         self,
         stage: Callable[..., T],
@@ -273,6 +290,8 @@ class DaskBackend:
             _log.warning("retries are not counted", reason=str(error))
         else:
             self._client.subscribe_topic(TOPIC, self._count_retry)
+        for weights in self._weights.values():
+            await self._client.register_plugin(ModelPlugin(weights, self._name))
 
     def _count_retry(self, event: tuple[float, str]) -> None:
         _, patches, pool, _ = event[1].split("-")

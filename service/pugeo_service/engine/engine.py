@@ -17,12 +17,14 @@ from typing import Any, TypeVar
 import structlog
 
 from pugeo_model.kernel_cache import compile_kernels
+from pugeo_model.weights import Weights
 from pugeo_service.engine.backend import Backend
 from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.messages import (
     BodyReader,
     InMemory,
+    ModelId,
     ProgressCallbacks,
     RunRequest,
     RunResult,
@@ -61,10 +63,12 @@ class Engine:
 
     Args:
         settings: decide on the backend and its size.
+        model: weights of the self test.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, model: ModelId) -> None:
         self._settings = settings
+        self._model = model
         self._backend = _make_backend(settings)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
@@ -121,6 +125,17 @@ class Engine:
         self._loop.close()
         self._loop = self._thread = None
 
+    async def install(self, weights: Weights) -> None:
+        """Give weights that are not part of the package to all workers; before `start` or later."""
+        if self._loop is None:
+            await self._backend.install(weights)
+        else:
+            await self._call(self._backend.install(weights))
+
+    async def remove(self, sha256: str) -> None:
+        """Take weights away again; no request may use them any more."""
+        await self._call(self._backend.remove(sha256))
+
     @property
     def status(self) -> Status:
         """The state of the workers, at most half a second old."""
@@ -168,7 +183,7 @@ class Engine:
             process.kill()
 
     async def _self_test(self) -> None:
-        request = self_test_request(self._settings.model, self._settings.deadline_s)
+        request = self_test_request(self._model, self._settings.deadline_s)
         run = self._orchestrator(request, ProgressCallbacks())
         (await run.run(InMemory(self_test_body()))).spool.close()
 

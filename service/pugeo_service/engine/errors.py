@@ -4,7 +4,14 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["DiskError", "EngineLostError", "EngineStartError", "WorkerLostError", "disk_errors"]
+__all__ = [
+    "DiskError",
+    "EngineLostError",
+    "EngineStartError",
+    "WorkerLostError",
+    "WrongWeightsError",
+    "disk_errors",
+]
 
 
 class WorkerLostError(Exception):
@@ -17,6 +24,27 @@ class EngineLostError(Exception):
 
 class EngineStartError(Exception):
     """The workers cannot start, or were not ready within the time for it."""
+
+
+class WrongWeightsError(Exception):
+    """A worker has other weights of a name than the front.
+
+    Args:
+        name: of the model.
+        found: sha256 that the worker has, or "none".
+        wanted: sha256 that the front asks for.
+    """
+
+    def __init__(self, name: str, found: str, wanted: str) -> None:
+        # All arguments, so that the error survives the way to the front.
+        super().__init__(name, found, wanted)
+
+    def __str__(self) -> str:
+        name, found, wanted = self.args
+        return (
+            f"a worker has the weights {found[:12]} as {name!r}, this service {wanted[:12]}: run "
+            "the same version of pugeo on all machines"
+        )
 
 
 class DiskError(Exception):

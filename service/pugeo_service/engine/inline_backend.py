@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
+from pugeo_model.weights import Weights
+from pugeo_service.engine import model_store
 from pugeo_service.engine.backend import Handle
 from pugeo_service.engine.errors import EngineLostError
 from pugeo_service.engine.worker import warm
@@ -51,6 +53,14 @@ class InlineBackend:
     async def stop(self) -> None:
         """Let running tasks end and drop the others."""
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+    async def install(self, weights: Weights) -> None:
+        """Keep weights in this process."""
+        model_store.install(weights)
+
+    async def remove(self, sha256: str) -> None:
+        """Forget weights."""
+        model_store.remove(sha256)
 
     def submit(
         self,

@@ -15,6 +15,7 @@ __all__ = [
     "BodyReader",
     "DenseInfo",
     "InMemory",
+    "ModelId",
     "OutputInfo",
     "PreparedInfo",
     "ProgressCallbacks",
@@ -29,11 +30,19 @@ _TEXT_FORMATS = frozenset({"json", "xyz"})
 
 
 @dataclass(frozen=True)
+class ModelId:
+    """Weights by their name, or path, and their sha256."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class RunRequest:
     """A request as the workers see it: plain values, no model, no open file.
 
     Attributes:
-        model: name or path of the weights.
+        model: weights to use.
         format: format of the input, or ``None`` if the content decides.
         answer: format of the answer.
         options: keyword arguments of the model's ``Options``.
@@ -49,7 +58,7 @@ class RunRequest:
             it is the dense cloud.
     """
 
-    model: str
+    model: ModelId
     format: str | None
     answer: str
     options: dict[str, Any]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pugeo_model import formats
 from pugeo_model.cloud import Cloud
-from pugeo_service.engine.messages import RunRequest
+from pugeo_service.engine.messages import ModelId, RunRequest
 
 __all__ = ["self_test_body", "self_test_request"]
 
@@ -26,7 +26,7 @@ def self_test_body() -> NDArray[np.uint8]:
     return np.frombuffer(buffer.getvalue(), np.uint8)
 
 
-def self_test_request(model: str, deadline_s: float) -> RunRequest:
+def self_test_request(model: ModelId, deadline_s: float) -> RunRequest:
     """Return the request to upsample it."""
     return RunRequest(
         model=model,

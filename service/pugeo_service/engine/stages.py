@@ -7,15 +7,15 @@ front. The front refers to these functions without loading the model: each impor
 
 from __future__ import annotations
 
-import functools
 import io
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pugeo_service.engine.answer_size import check_answer, check_plan
 from pugeo_service.engine.backend import quick
-from pugeo_service.engine.messages import DenseInfo, PreparedInfo, RunRequest
+from pugeo_service.engine.messages import DenseInfo, ModelId, PreparedInfo, RunRequest
+from pugeo_service.engine.model_store import load_model
 from pugeo_service.engine.output_stages import describe_output, written
 from pugeo_service.engine.surface_stage import make_surface
 from pugeo_service.engine.values import (
@@ -41,7 +41,6 @@ __all__ = [
     "densify",
     "describe_dense",
     "describe_prepared",
-    "load_model",
     "predict",
     "predict_in_place",
     "prepare",
@@ -49,14 +48,6 @@ __all__ = [
     "take_patches",
     "take_tile",
 ]
-
-
-@functools.lru_cache(maxsize=2)
-def load_model(name: str) -> Any:
-    """Return the model called ``name``, loaded once for each process."""
-    from pugeo_model import weights
-
-    return weights.load(name)
 
 
 def prepare(body: NDArray[np.uint8], request: RunRequest) -> Prepared:
@@ -160,7 +151,7 @@ def take_patches(prepared: Prepared, start: int, stop: int) -> PatchBatch:
     return PatchBatch(tile.patches[start:stop], tile.candidates)
 
 
-def predict(batch: PatchBatch, model: str) -> PredictedBatch:
+def predict(batch: PatchBatch, model: ModelId) -> PredictedBatch:
     """Run patches through the network."""
     start = time.perf_counter()
     network = load_model(model)
@@ -168,18 +159,20 @@ def predict(batch: PatchBatch, model: str) -> PredictedBatch:
     return PredictedBatch(charts, time.perf_counter() - start)
 
 
-def predict_in_place(prepared: Prepared, start: int, stop: int, model: str) -> PredictedBatch:
+def predict_in_place(prepared: Prepared, start: int, stop: int, model: ModelId) -> PredictedBatch:
     """Run patches through the network on the worker that has their tile."""
     return predict(take_patches(prepared, start, stop), model)
 
 
-def denoise(prepared: Prepared, batches: Sequence[PredictedBatch], model: str) -> Prepared | None:
+def denoise(
+    prepared: Prepared, batches: Sequence[PredictedBatch], model: ModelId
+) -> Prepared | None:
     """Move the points of a noisy tile onto their charts and prepare it again.
 
     Args:
         prepared: the tile.
         batches: its charts, in any order.
-        model: name of the weights.
+        model: weights of the network.
 
     Returns:
         The prepared tile; ``None`` if its points hardly move.
@@ -201,7 +194,7 @@ def describe_denoised(denoised: Prepared | None) -> PreparedInfo | None:
     return None if denoised is None else describe_prepared(denoised)
 
 
-def densify(prepared: Prepared, batches: Sequence[PredictedBatch], model: str) -> DenseTile:
+def densify(prepared: Prepared, batches: Sequence[PredictedBatch], model: ModelId) -> DenseTile:
     """Make the dense points of a tile from its charts.
 
     It is one task: the values between its steps are larger than its result, and each task costs
@@ -210,7 +203,7 @@ def densify(prepared: Prepared, batches: Sequence[PredictedBatch], model: str) -
     Args:
         prepared: the tile.
         batches: its charts, in any order.
-        model: name of the weights.
+        model: weights of the network.
     """
     from pugeo_model import local_stages
     from pugeo_model.stage_times import StageTimes

@@ -18,9 +18,12 @@ from distributed import Status
 from distributed.threadpoolexecutor import ThreadPoolExecutor
 from tornado.ioloop import PeriodicCallback
 
+from pugeo_model.errors import BadOptionError
 from pugeo_model.malloc import give_back_freed_memory
+from pugeo_model.weights import read_card
 from pugeo_service.engine import stages
 from pugeo_service.engine.backend import CORE, is_quick
+from pugeo_service.engine.messages import ModelId
 from pugeo_service.engine.self_test import self_test_body, self_test_request
 
 __all__ = ["dask_setup", "one_at_a_time", "run_stage", "warm"]
@@ -32,6 +35,7 @@ _GRACE_S = 5.0
 _TIDY_MS = 5_000
 _LOOK_MS = 50
 _SWITCH_S = 5e-4
+_RELEASED = "standard"
 
 
 def run_stage(stage: Callable[..., T], seconds: float, *args: Any) -> T:
@@ -51,9 +55,18 @@ def run_stage(stage: Callable[..., T], seconds: float, *args: Any) -> T:
         faulthandler.cancel_dump_traceback_later()
 
 
-def warm(model: str) -> None:
-    """Load the model and upsample a small sphere, so that no user waits for it."""
-    request = self_test_request(model, deadline_s=0.0)
+def warm(name: str) -> None:
+    """Load a model and upsample a small sphere, so that no user waits for it.
+
+    Args:
+        name: of the model, or path of its weights; if they are not here, the front sends them, and
+            those of the package serve as well.
+    """
+    try:
+        sha256 = read_card(name)["sha256"]
+    except BadOptionError:
+        name, sha256 = _RELEASED, read_card(_RELEASED)["sha256"]
+    request = self_test_request(ModelId(name, sha256), deadline_s=0.0)
     # In one task, however many patches the network takes for it.
     prepared = stages.prepare(self_test_body(), replace(request, one_task_patches=sys.maxsize))
     assert prepared.output is not None
@@ -90,6 +103,6 @@ def dask_setup(worker: Any) -> None:
     # The thread that computes yields to the one that transfers ten times as often: 8 patches over
     # two workers take 0.39 s in the median instead of 0.45 s.
     sys.setswitchinterval(_SWITCH_S)
-    warm(os.environ.get("PUGEO_MODEL", "standard"))
+    warm(os.environ.get("PUGEO_MODEL", _RELEASED))
     # Memory that other clouds left free between surviving results would add up.
     worker.periodic_callbacks["tidy"] = PeriodicCallback(give_back_freed_memory, _TIDY_MS)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 from pugeo_service.engine import stages
 from pugeo_service.engine.backend import Handle
 from pugeo_service.engine.dispatch import Dispatch, WorkerOf
-from pugeo_service.engine.messages import PreparedInfo, ProgressCallbacks
+from pugeo_service.engine.messages import ModelId, PreparedInfo, ProgressCallbacks
 from pugeo_service.engine.values import DenseTile, PredictedBatch, Prepared
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class WorkerStages:
     Args:
         tasks: of the request.
         cloud: handle of the planned cloud.
-        model: name of the weights.
+        model: weights of the network.
         patches: of the whole cloud, which decide on the priority of tasks.
         progress: told which stage begins, and the patches done.
         times: gets the seconds of all stages.
@@ -62,7 +62,7 @@ class WorkerStages:
         self,
         tasks: Dispatch,
         cloud: Handle[Prepared],
-        model: str,
+        model: ModelId,
         patches: int,
         progress: ProgressCallbacks,
         times: "StageTimes",

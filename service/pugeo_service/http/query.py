@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from pugeo_service.http.negotiation import OUTPUT_FORMATS
 
-__all__ = ["UpsampleQuery"]
+__all__ = ["JobQuery", "UpsampleQuery"]
 
 _DEFAULT_RATIO = 4.0
 
@@ -99,6 +99,13 @@ class UpsampleQuery(BaseModel):
             "an even spacing."
         ),
     ] = False
+    model: Annotated[
+        str | None,
+        Field(
+            max_length=128,
+            description="Name of a model of GET /models; the default of the service if unset.",
+        ),
+    ] = None
     format: Annotated[
         str | None,
         Field(
@@ -136,6 +143,19 @@ class UpsampleQuery(BaseModel):
             "denoise": self.denoise,
             "confidence": self.confidence,
         }
+
+
+class JobQuery(UpsampleQuery):
+    """Options of ``POST /jobs``."""
+
+    webhook: Annotated[
+        str | None,
+        Field(
+            max_length=2000,
+            description="URL that gets a signed POST when the job has ended.",
+            examples=["https://example.org/pugeo"],
+        ),
+    ] = None
 
 
 def _positions(text: str) -> tuple[tuple[float, float, float], ...]:

@@ -19,11 +19,11 @@ _NOTES_BYTES = 2048
 
 
 def response_headers(
-    result: RunResult, output: OutputFormat, card: dict[str, Any]
+    result: RunResult, output: OutputFormat, model: Mapping[str, str]
 ) -> dict[str, str]:
     """Return all headers of the response to ``POST /upsample``."""
     return {
-        **run_headers(result.report, result.seconds, output, card),
+        **run_headers(result.report, result.seconds, output, model),
         "Content-Length": str(result.spool.size),
         "Vary": "Accept",
     }
@@ -33,7 +33,7 @@ def run_headers(
     report: dict[str, Any],
     seconds: dict[str, float],
     output: OutputFormat,
-    model: Mapping[str, Any],
+    model: Mapping[str, str],
 ) -> dict[str, str]:
     """Return the headers that describe a run.
 
@@ -43,15 +43,17 @@ def run_headers(
         report: the model's report of the run.
         seconds: of each stage.
         output: format of the bytes.
-        model: ``version`` and ``sha256`` of the weights.
+        model: ``name``, ``version`` and ``sha256`` of the weights.
     """
     dropped = report["dropped"]
     timing = [f"{stage};dur={1000 * spent:.1f}" for stage, spent in seconds.items()]
     return {
         "Content-Type": output.media_type,
         "Content-Disposition": f'attachment; filename="upsampled.{output.extension}"',
-        "Pugeo-Model-Version": str(model["version"]),
-        "Pugeo-Model-Sha256": str(model["sha256"]),
+        # Jobs that an earlier version finished have no name.
+        "Pugeo-Model": model.get("name", ""),
+        "Pugeo-Model-Version": model["version"],
+        "Pugeo-Model-Sha256": model["sha256"],
         "Pugeo-Points-In": str(report["points_in"]),
         "Pugeo-Points-Out": str(report["points_out"]),
         "Pugeo-Dropped-Non-Finite": str(dropped["non_finite"]),

@@ -15,14 +15,14 @@ CORS: dict[str, Any] = {
     "allow_methods": ["GET", "HEAD", "POST", "DELETE"],
     "allow_headers": [
         "Authorization", "Content-Type", "Idempotency-Key", "If-None-Match", "Last-Event-ID",
-        "Prefer", "Range", "X-API-Key", "X-Request-ID",
+        "Prefer", "Pugeo-Canary", "Range", "X-API-Key", "X-Request-ID",
     ],
     "expose_headers": [
         "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Location",
         "Preference-Applied", "Pugeo-Dropped-Duplicate", "Pugeo-Dropped-Non-Finite",
-        "Pugeo-Dropped-Wild",
-        "Pugeo-Model-Sha256", "Pugeo-Model-Version", "Pugeo-Notes", "Pugeo-Points-In",
-        "Pugeo-Points-Out", "Retry-After", "Server-Timing", "X-Request-ID",
+        "Pugeo-Dropped-Wild", "Pugeo-Model", "Pugeo-Model-Sha256", "Pugeo-Model-Version",
+        "Pugeo-Notes", "Pugeo-Points-In", "Pugeo-Points-Out", "Retry-After", "Server-Timing",
+        "X-Request-ID",
     ],
     "max_age": 3600,
 }  # fmt: skip

@@ -18,9 +18,10 @@ __all__ = ["Completion", "crash_problem"]
 
 _log = structlog.stdlib.get_logger("pugeo.jobs")
 _ENGINE_RETRY_S = 5.0
-_STORAGE_RETRY_S = 30.0
+_REPAIR_S = 30.0
 _DATABASE_RETRY_S = 1.0
-_STORAGE_CODES = frozenset({"storage_full", "storage_failed"})
+# Faults of the machines, which somebody may mend.
+_REPAIRABLE = frozenset({"storage_full", "storage_failed", "wrong_weights"})
 
 
 def crash_problem(job: Job) -> ProblemError:
@@ -118,8 +119,8 @@ class Completion:
         now = clock.now()
         if problem.code == "engine_lost":
             retry = (job.attempts - 1, now + _ENGINE_RETRY_S)
-        elif problem.code in _STORAGE_CODES and job.attempts < self.max_attempts:
-            retry = (job.attempts, now + _STORAGE_RETRY_S)
+        elif problem.code in _REPAIRABLE and job.attempts < self.max_attempts:
+            retry = (job.attempts, now + _REPAIR_S)
         else:
             await self.fail(job, self._runner, problem)
             return

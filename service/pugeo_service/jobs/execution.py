@@ -8,6 +8,7 @@ from pugeo_service.engine import Engine, RunRequest, RunResult
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, Success
+from pugeo_service.models import Models, ServedModel
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.runs import count_run, engine_problems, make_run_request
@@ -29,7 +30,7 @@ class Execution:
         admission: queue of jobs.
         files: files of jobs.
         telemetry: counts successful runs.
-        model: ``version`` and ``sha256`` of the weights.
+        models: models by name.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Execution:
         admission: Admission,
         files: JobFiles,
         telemetry: Telemetry,
-        model: dict[str, str],
+        models: Models,
     ) -> None:
         self._job = job
         self._settings = settings
@@ -49,7 +50,7 @@ class Execution:
         self._admission = admission
         self._files = files
         self._telemetry = telemetry
-        self._model = model
+        self._models = models
         self._stage = job.stage
         self._done = 0
         self._total: int | None = None
@@ -65,13 +66,16 @@ class Execution:
         Raises:
             CloudError: the input cannot be used.
             InputLostError: the input file is missing or changed.
-            ProblemError: 422 the cloud is too much for a worker, 503 workers or disk fail, 504 the
-                time limit of jobs is exceeded.
+            ProblemError: 422 the cloud is too much for a worker, or its model is gone, 503 workers
+                or disk fail, 504 the time limit of jobs is exceeded.
         """
+        # By chance, but the same one at each attempt.
+        chance = int(self._job.id[-8:], 16) / 2**32
+        model = self._models.choose(self._job.options.get("model"), None, chance)
         with await self._admit() as reservation:
-            result = await self._upsample(reservation)
+            result = await self._upsample(reservation, model)
             with result.spool:
-                return await self._store(result)
+                return await self._store(result, model)
 
     async def _admit(self) -> Reservation:
         """Wait until the queue of jobs has room for the patches of this one."""
@@ -85,11 +89,12 @@ class Execution:
             else:
                 return reservation
 
-    async def _upsample(self, reservation: Reservation) -> RunResult:
+    async def _upsample(self, reservation: Reservation, model: ServedModel) -> RunResult:
         job, settings = self._job, self._settings
         run_request = make_run_request(
             settings,
             UpsampleQuery(**job.options).for_model(),
+            model=model.id,
             format=job.format,
             answer=job.answer,
             deadline_s=settings.jobs_deadline_s,
@@ -122,17 +127,17 @@ class Execution:
             fields = {"limit": settings.jobs_deadline_s, "setting": "PUGEO_JOBS_DEADLINE_S"}
             raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
 
-    async def _store(self, result: RunResult) -> Success:
+    async def _store(self, result: RunResult, model: ServedModel) -> Success:
         with storage_problems(), self._files.new_result(self._job.id) as file:
             async for data in result.spool.chunks():
                 await file.write(data)
             await file.commit()
-        count_run(self._telemetry, result)
+        count_run(self._telemetry, result, model.described)
         return Success(
             size=file.size,
             sha256=file.sha256,
             report=result.report,
             timings=result.seconds,
-            model=self._model,
+            model=model.described,
             patches=self._total or 0,
         )

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from pugeo_service.admission.admission import Admission
 from pugeo_service.engine import Engine
 from pugeo_service.http.negotiation import OutputChoice
-from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.http.query import JobQuery
 from pugeo_service.jobs import clock, repository
 from pugeo_service.jobs.change_feed import ChangeFeed
 from pugeo_service.jobs.completion import Completion
@@ -25,6 +25,8 @@ from pugeo_service.jobs.process_lock import ProcessLock
 from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.jobs.runner import Runner
 from pugeo_service.jobs.submission import Submission
+from pugeo_service.jobs.webhooks import Webhooks
+from pugeo_service.models import Models
 from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.problems import ProblemError
 from pugeo_service.settings import Settings
@@ -45,7 +47,7 @@ class JobManager:
         settings: settings of the service.
         engine: runs jobs.
         telemetry: counts jobs.
-        model: ``version`` and ``sha256`` of the weights.
+        models: models by name.
         keys_version: returns another value after API keys have changed.
 
     Attributes:
@@ -61,7 +63,7 @@ class JobManager:
         settings: Settings,
         engine: Engine,
         telemetry: Telemetry,
-        model: dict[str, str],
+        models: Models,
         keys_version: Callable[[], object],
     ) -> None:
         self._folder = settings.jobs_folder
@@ -82,7 +84,7 @@ class JobManager:
             lambda ids: self._database.read(repository.find_many, ids),
             keys_version,
         )
-        self._submission = Submission(settings, self._database, self.files, self.uploads)
+        self._submission = Submission(settings, self._database, self.files, self.uploads, models)
         completion = Completion(
             self._lock.name,
             self._database,
@@ -98,7 +100,7 @@ class JobManager:
             admission=self.admission,
             files=self.files,
             telemetry=telemetry,
-            model=model,
+            models=models,
         )
         self._runner = Runner(
             self._lock.name,
@@ -119,6 +121,14 @@ class JobManager:
             self._reserve,
             max(_LEAST_ROWS, settings.jobs_queue),
         )
+        self._webhooks: Webhooks | None = None
+        if settings.webhook_secret is not None:
+            self._webhooks = Webhooks(
+                self._database,
+                settings.webhook_secret,
+                private=settings.webhook_private,
+                telemetry=telemetry,
+            )
         self._tasks: list[asyncio.Task[None]] = []
         self._opening: asyncio.Task[None] | None = None
         self._ready = False
@@ -160,7 +170,7 @@ class JobManager:
     async def submit(
         self,
         request: Request,
-        query: UpsampleQuery,
+        query: JobQuery,
         choice: OutputChoice,
         owner: str,
         key: str | None,
@@ -241,10 +251,10 @@ class JobManager:
             return False
         except ProblemError:
             return False  # logged by the database
-        self._tasks = [
-            asyncio.create_task(task)
-            for task in (self._runner.run(), self._maintenance.run(), self.changes.run())
-        ]
+        tasks = [self._runner.run(), self._maintenance.run(), self.changes.run()]
+        if self._webhooks is not None:
+            tasks.append(self._webhooks.run())
+        self._tasks = [asyncio.create_task(task) for task in tasks]
         self._ready = True
         _log.info("jobs available", folder=str(self._folder), queued=self.usage.queued)
         return True

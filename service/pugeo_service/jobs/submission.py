@@ -20,12 +20,14 @@ from pugeo_service.admission.admission import Admission
 from pugeo_service.engine.answer_size import check_answer
 from pugeo_service.http.body import announced_bytes, receive_into
 from pugeo_service.http.negotiation import OutputChoice
-from pugeo_service.http.query import UpsampleQuery
-from pugeo_service.jobs import clock, repository
+from pugeo_service.http.query import JobQuery, UpsampleQuery
+from pugeo_service.jobs import clock, repository, webhook_rows
 from pugeo_service.jobs.database import Database
 from pugeo_service.jobs.files import JobFiles
 from pugeo_service.jobs.models import Job, new_id
 from pugeo_service.jobs.quota import Quota
+from pugeo_service.jobs.webhook_address import check_url
+from pugeo_service.models import Models, wants_canary
 from pugeo_service.problems import ProblemError
 from pugeo_service.runs import make_run_request
 from pugeo_service.settings import Settings
@@ -58,21 +60,28 @@ class Submission:
         database: database of jobs.
         files: files of jobs.
         uploads: bounds the bodies that are being received.
+        models: models by name.
     """
 
     def __init__(
-        self, settings: Settings, database: Database, files: JobFiles, uploads: Admission
+        self,
+        settings: Settings,
+        database: Database,
+        files: JobFiles,
+        uploads: Admission,
+        models: Models,
     ) -> None:
         self._settings = settings
         self._database = database
         self._files = files
         self._uploads = uploads
+        self._models = models
         self._quota = Quota(settings.jobs_queue, settings.jobs_bytes)
 
     async def __call__(
         self,
         request: Request,
-        query: UpsampleQuery,
+        query: JobQuery,
         choice: OutputChoice,
         owner: str,
         key: str | None,
@@ -95,6 +104,11 @@ class Submission:
                 has its share, 503 the capacity is exhausted, the disk is full, or the database
                 fails.
         """
+        self._check_webhook(query.webhook)
+        # The model of a job without one is chosen when it runs.
+        wish = wants_canary(request.headers)
+        named = query.model is not None or wish is not None
+        model = self._models.choose(query.model, wish, 0.0).name if named else None
         if key is None or not await self._database.read(repository.find_by_key, owner, key):
             announced = announced_bytes(request)
             usage = await self._database.read(repository.owner_usage, owner)
@@ -109,7 +123,7 @@ class Submission:
         except CloudError:
             await asyncio.to_thread(self._files.remove_input, job_id)
             raise
-        options = query.model_dump(exclude={"format"})
+        options = query.model_dump(exclude={"format", "webhook"}) | {"model": model}
         answer = choice.for_input(body.read_as).name
         job = Job(
             id=job_id,
@@ -127,13 +141,23 @@ class Submission:
             created_at=clock.now(),
         )
         try:
-            stored = await self._insert(job)
+            stored = await self._insert(job, query.webhook)
         except Exception:
             await self._remove_input_unless_stored(job)
             raise
         if stored.id != job.id:
             await asyncio.to_thread(self._files.remove_input, job.id)
         return stored, stored.id == job.id
+
+    def _check_webhook(self, url: str | None) -> None:
+        """Refuse a webhook that could not be sent."""
+        if url is None:
+            return
+        if self._settings.webhook_secret is None:
+            detail = "This service sends no webhooks; its operator sets PUGEO_WEBHOOK_SECRET."
+            fields = {"parameter": "webhook", "setting": "PUGEO_WEBHOOK_SECRET"}
+            raise ProblemError(422, "bad_option", detail, fields=fields)
+        check_url(url, private=self._settings.webhook_private)
 
     def _check_size(self, job_id: str, query: UpsampleQuery, format: str | None) -> None:
         """Refuse an input whose header says that it, or its answer, is too large.
@@ -143,7 +167,12 @@ class Submission:
         settings = self._settings
         limits = formats.Limits(max_points=settings.max_points, max_bytes=settings.max_cloud_bytes)
         run_request = make_run_request(
-            settings, query.for_model(), format=format, answer="", deadline_s=0.0
+            settings,
+            query.for_model(),
+            model=self._models.default.id,
+            format=format,
+            answer="",
+            deadline_s=0.0,
         )
         try:
             size = formats.declared(self._files.input_path(job_id), format=format, limits=limits)
@@ -154,13 +183,13 @@ class Submission:
         except (CloudError, OSError):
             return
 
-    async def _insert(self, job: Job) -> Job:
+    async def _insert(self, job: Job, webhook: str | None) -> Job:
         """Insert a job, or return the earlier job of its owner with the same key."""
         try:
-            earlier = await self._database.write(_find_or_add, job, self._quota)
+            earlier = await self._database.write(_find_or_add, job, webhook, self._quota)
         except IntegrityError:
             # The same request was sent twice at once, and the other one was inserted first.
-            earlier = await self._database.write(_find_or_add, job, self._quota)
+            earlier = await self._database.write(_find_or_add, job, webhook, self._quota)
         if earlier is not None and earlier.request_digest != job.request_digest:
             detail = (
                 "This Idempotency-Key was used for a request with another body or other options. "
@@ -186,13 +215,15 @@ class Submission:
             await asyncio.to_thread(self._files.remove_input, job.id)
 
 
-def _find_or_add(connection: Connection, job: Job, quota: Quota) -> Job | None:
+def _find_or_add(connection: Connection, job: Job, webhook: str | None, quota: Quota) -> Job | None:
     """Return an earlier job with the same key, or insert the job if the quota allows it."""
     if job.idempotency_key is not None:
         earlier = repository.find_by_key(connection, job.owner, job.idempotency_key)
         if earlier is not None:
             return earlier
     repository.add(connection, job, functools.partial(quota.check, job.owner, job.input_bytes))
+    if webhook is not None:
+        webhook_rows.add(connection, job.id, webhook)
     return None
 
 

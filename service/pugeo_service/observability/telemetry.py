@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prometheus metrics in base units; dashboards rely on names and labels."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from prometheus_client import (
@@ -37,6 +37,7 @@ class Readings:
         jobs_queued: queued jobs.
         jobs_running: running jobs.
         jobs_bytes: bytes of inputs and results of jobs.
+        models: ``name``, ``version`` and ``sha256`` of each model.
     """
 
     queue_patches: int
@@ -49,6 +50,7 @@ class Readings:
     jobs_queued: int = 0
     jobs_running: int = 0
     jobs_bytes: int = 0
+    models: Sequence[dict[str, str]] = ()
 
 
 class Telemetry:
@@ -57,10 +59,9 @@ class Telemetry:
     Args:
         read: returns the current readings.
         version: version of the service.
-        model: ``name``, ``version`` and ``sha256`` of the model.
     """
 
-    def __init__(self, read: Callable[[], Readings], version: str, model: dict[str, str]) -> None:
+    def __init__(self, read: Callable[[], Readings], version: str) -> None:
         self.registry = registry = CollectorRegistry()
         self.requests = Counter(
             "pugeo_http_requests",
@@ -118,17 +119,19 @@ class Telemetry:
         self.jobs = Counter(
             "pugeo_jobs", "Changes of jobs by new state.", ("state",), registry=registry
         )
+        self.runs = Counter(
+            "pugeo_runs",
+            "Successful runs by model.",
+            ("model", "version", "sha256"),
+            registry=registry,
+        )
+        self.webhooks = Counter(
+            "pugeo_webhooks", "Attempts to send a webhook.", ("outcome",), registry=registry
+        )
         build = Gauge(
             "pugeo_build_info", "Version of the service.", ("version",), registry=registry
         )
         build.labels(version=version).set(1)
-        info = Gauge(
-            "pugeo_model_info",
-            "Model of the service.",
-            ("model", "version", "sha256"),
-            registry=registry,
-        )
-        info.labels(model["name"], model["version"], model["sha256"]).set(1)
         registry.register(_Read(read))
 
 
@@ -156,6 +159,12 @@ class _Read(Collector):
         jobs.add_metric(["running"], now.jobs_running)
         yield jobs
         yield GaugeMetricFamily("pugeo_jobs_bytes", "Bytes of files of jobs.", value=now.jobs_bytes)
+        models = GaugeMetricFamily(
+            "pugeo_model_info", "Models of the service.", labels=["model", "version", "sha256"]
+        )
+        for model in now.models:
+            models.add_metric([model["name"], model["version"], model["sha256"]], 1)
+        yield models
         workers = GaugeMetricFamily("pugeo_workers", "Worker processes.", labels=["state"])
         workers.add_metric(["warm"], now.workers_warm)
         workers.add_metric(["missing"], now.workers_missing)

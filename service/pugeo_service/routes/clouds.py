@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""OpenAPI descriptions of request bodies and of response headers."""
+"""OpenAPI descriptions of request bodies, and of headers of requests and responses."""
 
 from typing import Any
 
 from pugeo_model.formats import FORMATS
 from pugeo_service.http.body import ACCEPTED
 from pugeo_service.http.negotiation import OUTPUT_FORMATS
+from pugeo_service.models import CANARY_HEADER
 
-__all__ = ["BINARY", "BODY", "HEADERS"]
+__all__ = ["BINARY", "BODY", "CANARY", "HEADERS"]
 
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 _POINTS = {
@@ -55,10 +56,18 @@ BODY: dict[str, Any] = {
         },
     }
 }
+CANARY = {
+    "name": CANARY_HEADER,
+    "in": "header",
+    "required": False,
+    "description": "yes or no: whether the canary model runs, if there is one; by chance if unset.",
+    "schema": {"type": "string", "enum": ["yes", "no"]},
+}
 HEADERS = {
     name: {"description": text, "schema": {"type": kind}}
     for name, kind, text in (
         ("X-Request-ID", "string", "id of the request, given by the client or random"),
+        ("Pugeo-Model", "string", "name of the model"),
         ("Pugeo-Model-Version", "string", "version of the model"),
         ("Pugeo-Model-Sha256", "string", "sha256 of the weights"),
         ("Pugeo-Points-In", "integer", "points read"),

@@ -73,7 +73,7 @@ async def health(service: ServiceDep) -> Health:
         status="not_ready" if reason else "ready",
         reason=reason,
         version=__version__,
-        model=str(service.card["name"]),
+        model=service.models.default.name,
         workers=status.workers,
         workers_expected=status.expected,
         queue_patches=admission.patches,

@@ -13,7 +13,7 @@ from starlette.types import Receive, Scope, Send
 from pugeo_model.errors import CloudError
 from pugeo_service.container import ServiceDep
 from pugeo_service.http.negotiation import OUTPUT_FORMATS, choose_format
-from pugeo_service.http.query import UpsampleQuery
+from pugeo_service.http.query import JobQuery
 from pugeo_service.jobs.api_models import JobPage, JobResponse
 from pugeo_service.jobs.events import stream
 from pugeo_service.jobs.models import Job, State
@@ -21,7 +21,7 @@ from pugeo_service.jobs.result import check_available, result_response
 from pugeo_service.jobs.submission import idempotency_key
 from pugeo_service.keys import owner_of
 from pugeo_service.problems import ProblemError, problem_responses
-from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
+from pugeo_service.routes.clouds import BINARY, BODY, CANARY, HEADERS
 
 __all__ = ["router"]
 
@@ -85,12 +85,12 @@ _RESULT: dict[int | str, dict[str, Any]] = {
               "model": JobResponse, "headers": _LOCATION},
         **problem_responses(400, 401, 406, 408, 413, 415, 422, 429, 500, 503),
     },
-    openapi_extra=BODY,
+    openapi_extra={**BODY, "parameters": [CANARY]},
 )  # fmt: skip
 async def submit(
     request: Request,
     response: Response,
-    query: Annotated[UpsampleQuery, Query()],
+    query: Annotated[JobQuery, Query()],
     service: ServiceDep,
     _idempotency_key: Annotated[
         str | None,

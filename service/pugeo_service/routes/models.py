@@ -1,30 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``GET /models``: the card of the model, with its measured quality."""
+"""``GET /models``: the cards of the models, with their measured quality."""
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter
+from pydantic import BaseModel, Field
 
 from pugeo_service.container import ServiceDep
-from pugeo_service.problems import ProblemError, problem_responses
+from pugeo_service.problems import problem_responses
 
 __all__ = ["router"]
 
 router = APIRouter(prefix="/models", tags=["models"])
 
 
+class Canary(BaseModel):
+    """A model that a share of the requests gets that name none."""
+
+    name: str
+    share: Annotated[float, Field(description="0 to 1")]
+
+
+class ModelList(BaseModel):
+    """All models of the service."""
+
+    models: Annotated[list[dict[str, Any]], Field(description="model cards, the default first")]
+    default: str
+    canary: Canary | None
+
+
 @router.get("", operation_id="list_models", responses=problem_responses(422))
-async def list_models(service: ServiceDep) -> dict[str, list[dict[str, Any]]]:
-    """List the cards of all models of this service."""
-    return {"models": [service.card]}
+async def list_models(service: ServiceDep) -> ModelList:
+    """List the cards of all models of this service, the default first."""
+    canary = service.models.canary
+    return ModelList(
+        models=[model.card for model in service.models],
+        default=service.models.default.name,
+        canary=None if canary is None else Canary(name=canary[0], share=canary[1]),
+    )
 
 
 @router.get("/{name}", operation_id="get_model", responses=problem_responses(404, 422))
 async def get_model(name: str, service: ServiceDep) -> dict[str, Any]:
     """Return one card: version, sha256, ratio range, training data, measured quality."""
-    if name != service.card["name"]:
-        detail = f"There is no model {name[:80]!r}; this service runs {service.card['name']!r}."
-        raise ProblemError(
-            404, "unknown_model", detail, fields={"available": [service.card["name"]]}
-        )
-    return service.card
+    return service.models.named(name, 404).card

@@ -47,11 +47,11 @@ async def preview(request: Request, service: ServiceDep) -> Response:
     get them from the network first.
     """
     deadline = Deadline(preferred_wait(request.headers), service.settings.deadline_s)
-    most = service.settings.preview_points
+    most, model = service.settings.preview_points, service.models.default
     with ExitStack() as held:
         try:
             result, _ = await serve(
-                request, service, OutputChoice((_MESH,)), {"ratio": 1.0}, deadline, held,
+                request, service, OutputChoice((_MESH,)), {"ratio": 1.0}, model, deadline, held,
                 surface_points=most,
             )  # fmt: skip
         except (ProblemError, CloudError) as error:
@@ -63,8 +63,8 @@ async def preview(request: Request, service: ServiceDep) -> Response:
                 "extra surfaces."
             )
             raise ProblemError(501, "no_surfaces", detail, retryable=False) from error
-        count_run(service.telemetry, result)
-        headers = response_headers(result, _MESH, service.card)
+        count_run(service.telemetry, result, model.described)
+        headers = response_headers(result, _MESH, model.described)
         if deadline.wait is not None:
             headers["Preference-Applied"] = f"wait={deadline.wait}"
         return SpoolResponse(result, headers, held.pop_all())

@@ -15,6 +15,7 @@ from pugeo_service.http.body import Body, ClientDisconnectedError, receive_body
 from pugeo_service.http.cancellation import while_connected
 from pugeo_service.http.negotiation import OutputChoice, OutputFormat
 from pugeo_service.keys import owner_of
+from pugeo_service.models import ServedModel
 from pugeo_service.observability.tracing import StageSpans
 from pugeo_service.problems import ProblemError
 from pugeo_service.runs import engine_problems, make_run_request
@@ -28,6 +29,7 @@ async def serve(
     service: Service,
     choice: OutputChoice,
     options: dict[str, Any],
+    model: ServedModel,
     deadline: Deadline,
     held: ExitStack,
     *,
@@ -40,6 +42,7 @@ async def serve(
         service: runs it.
         choice: of the format of the answer.
         options: keyword arguments of the model's ``Options``.
+        model: the model that runs.
         deadline: of the request.
         held: gets the reservation, which then holds the bytes of the answer.
         surface_points: see `RunRequest`.
@@ -69,7 +72,15 @@ async def serve(
             workers = service.engine.status.workers
             reservation.check_deadline(deadline.remaining, workers, counted=False)
             result = await _run(
-                request, service, body, output, options, reservation, deadline, surface_points
+                request,
+                service,
+                body,
+                output,
+                options,
+                model,
+                reservation,
+                deadline,
+                surface_points,
             )
     except DeadlinePassedError as error:
         service.telemetry.cancelled.labels("deadline").inc()
@@ -86,6 +97,7 @@ async def _run(
     body: Body[Spool],
     output: OutputFormat,
     options: dict[str, Any],
+    model: ServedModel,
     reservation: Reservation,
     deadline: Deadline,
     surface_points: int | None,
@@ -95,6 +107,7 @@ async def _run(
     run_request = make_run_request(
         settings,
         options,
+        model=model.id,
         format=body.format,
         answer=output.name,
         deadline_s=settings.deadline_s,

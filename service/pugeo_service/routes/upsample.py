@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``POST /upsample``: upsampling within one request."""
 
+import random
 from contextlib import ExitStack
 from typing import Annotated, Any
 
@@ -13,8 +14,9 @@ from pugeo_service.http.negotiation import OUTPUT_FORMATS, choose_format
 from pugeo_service.http.prefer import preferred_wait
 from pugeo_service.http.query import UpsampleQuery
 from pugeo_service.http.responses import SpoolResponse, response_headers
+from pugeo_service.models import wants_canary
 from pugeo_service.problems import ProblemError, problem_responses
-from pugeo_service.routes.clouds import BINARY, BODY, HEADERS
+from pugeo_service.routes.clouds import BINARY, BODY, CANARY, HEADERS
 from pugeo_service.routes.serving import serve
 from pugeo_service.runs import count_run
 
@@ -44,7 +46,7 @@ _RESPONSES: dict[int | str, dict[str, Any]] = {
     operation_id="upsample",
     response_class=Response,
     responses=_RESPONSES,
-    openapi_extra={**BODY, "parameters": [PREFER]},
+    openapi_extra={**BODY, "parameters": [PREFER, CANARY]},
 )
 async def upsample(
     request: Request, query: Annotated[UpsampleQuery, Query()], service: ServiceDep
@@ -54,16 +56,19 @@ async def upsample(
     with ExitStack() as held:
         try:
             choice = choose_format(request.headers.get("accept"), query.format)
+            # Any share of the requests will do; nobody gains by guessing the next one.
+            chance = random.random()  # noqa: S311
+            model = service.models.choose(query.model, wants_canary(request.headers), chance)
             result, output = await serve(
-                request, service, choice, query.for_model(), deadline, held
+                request, service, choice, query.for_model(), model, deadline, held
             )
         except (ProblemError, CloudError) as error:
             service.telemetry.rejected.labels(error.code).inc()
             raise
-        count_run(service.telemetry, result)
+        count_run(service.telemetry, result, model.described)
         for seconds, patches in result.batches:
             service.admission.patch_cost.add(seconds, patches)
-        headers = response_headers(result, output, service.card)
+        headers = response_headers(result, output, model.described)
         if deadline.wait is not None:
             headers["Preference-Applied"] = f"wait={deadline.wait}"
         return SpoolResponse(result, headers, held.pop_all())

@@ -102,7 +102,7 @@ def test_attributes_without_room_are_named(pugeo: Run, scan: Run, tmp_path: Path
     ("arguments", "words"),
     [
         (["--jobs"], "give --url"),
-        (["--url", "http://localhost:1", "--model", "fast"], "chosen by the service"),
+        (["--url", "http://localhost:1", "--model", "w.safetensors"], "models by name"),
         (["--url", "http://localhost:1", "--mesh", "m.ply"], "made here"),
         (["--overwrite", "--skip-existing"], "exclude each other"),
         (["--mesh", "m.obj"], "name it .ply"),

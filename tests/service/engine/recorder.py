@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from tests.service.engine.standard import STANDARD
 
 from pugeo_service.engine.backend import Backend
 from pugeo_service.engine.messages import (
@@ -27,7 +28,7 @@ from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = ["REQUEST", "Handle", "Recorder", "run"]
 
-REQUEST = self_test_request("standard", deadline_s=60.0)
+REQUEST = self_test_request(STANDARD, deadline_s=60.0)
 
 
 @dataclass(eq=False)

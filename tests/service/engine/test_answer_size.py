@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import LimitExceededError
@@ -19,7 +20,12 @@ from pugeo_service.runs import make_run_request
 from pugeo_service.settings import Settings
 
 REQUEST = make_run_request(
-    Settings(engine="inline"), {"ratio": 8.0}, format=None, answer="ply", deadline_s=9.0
+    Settings(engine="inline"),
+    {"ratio": 8.0},
+    model=STANDARD,
+    format=None,
+    answer="ply",
+    deadline_s=9.0,
 )
 
 

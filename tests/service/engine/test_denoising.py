@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import Cloud, formats, tiles
 from pugeo_model.assembly import Result
@@ -23,7 +24,7 @@ from pugeo_service.settings import Settings
 pytestmark = pytest.mark.slow
 
 REQUEST = replace(
-    self_test_request("standard", deadline_s=60.0), max_points=10_000, max_output_points=20_000
+    self_test_request(STANDARD, deadline_s=60.0), max_points=10_000, max_output_points=20_000
 )
 
 
@@ -55,7 +56,7 @@ def answer(cloud: Cloud, at_once: int, tmp_path: Path) -> NDArray[np.float32]:
     request = replace(REQUEST, one_task_patches=at_once)
 
     async def whole() -> bytes:
-        engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path))
+        engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path), STANDARD)
         await engine.start()
         try:
             data = InMemory(np.frombuffer(body.getvalue(), np.uint8))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import Cloud, formats
 from pugeo_model.errors import MalformedFileError
@@ -31,7 +32,7 @@ from pugeo_service.storage.spool import Spool
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("_kernels")]
 
-REQUEST = self_test_request("standard", deadline_s=60.0)
+REQUEST = self_test_request(STANDARD, deadline_s=60.0)
 
 Scenario = Callable[[Engine], Coroutine[Any, Any, None]]
 Play = Callable[[Scenario], None]
@@ -76,7 +77,7 @@ def play(in_background: Run, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     settings = Settings(workers=2, spool_dir=tmp_path_factory.mktemp("spool"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dask_backend, "_CONFIG", config)
-        engine = Engine(settings)
+        engine = Engine(settings, STANDARD)
         assert engine.status.workers == 0
         try:
             in_background(engine.start())
@@ -91,7 +92,7 @@ def play_inline(tmp_path: Path) -> Play:
     """Run a scenario against an engine of threads."""
 
     async def whole(scenario: Scenario) -> None:
-        engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path))
+        engine = Engine(Settings(engine="inline", workers=2, spool_dir=tmp_path), STANDARD)
         assert engine.status.workers == 0
         await engine.start()
         try:
@@ -225,7 +226,7 @@ def test_an_engine_that_does_not_run(tmp_path: Path) -> None:
     """A request before the start is refused, and stopping without a start is allowed."""
 
     async def scenario() -> None:
-        engine = Engine(Settings(spool_dir=tmp_path))
+        engine = Engine(Settings(spool_dir=tmp_path), STANDARD)
         with pytest.raises(EngineLostError):
             await run(engine, b"", tmp_path)
         await engine.stop()

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import kernel_cache
 from pugeo_service.engine import Engine, EngineStartError
@@ -21,7 +22,7 @@ def test_a_stop_ends_the_compilation_of_kernels(
     monkeypatch.setattr(kernel_cache, "_COMPILE", "import time; time.sleep(600)")
 
     async def scenario() -> None:
-        engine = Engine(Settings(spool_dir=tmp_path))
+        engine = Engine(Settings(spool_dir=tmp_path), STANDARD)
         starting = asyncio.create_task(engine.start())
         while engine._compiling is None:
             assert not starting.done()
@@ -45,7 +46,7 @@ def test_workers_that_never_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("pugeo_service.engine.engine.compile_kernels", lambda *_: None)
 
     async def scenario() -> None:
-        engine = Engine(Settings(spool_dir=tmp_path, start_s=0.05))
+        engine = Engine(Settings(spool_dir=tmp_path, start_s=0.05), STANDARD)
         with pytest.raises(EngineStartError, match=r"within 0.05 s \(PUGEO_START_S\)"):
             await engine.start()
         assert engine.status.workers == 0

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import formats, plan, weights
 from pugeo_model.cloud import Cloud
@@ -80,7 +81,7 @@ def test_what_is_written_tile_by_tile(
     file = io.BytesIO()
     formats.write(sphere(scalars, 9000), file, format="npz")
     order = replace(
-        self_test_request("standard", 60.0),
+        self_test_request(STANDARD, 60.0),
         answer=answer,
         options={"ratio": 2.0, **options},
         max_points=9000,

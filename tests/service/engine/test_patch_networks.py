@@ -19,6 +19,7 @@ from pugeo_model.weights import save
 from pugeo_service.engine import Engine
 from pugeo_service.engine.messages import InMemory
 from pugeo_service.engine.self_test import self_test_request
+from pugeo_service.models import Models
 from pugeo_service.settings import Settings
 
 pytestmark = pytest.mark.slow
@@ -33,7 +34,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Untrained weights of PUGeo-Net as published."""
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "paper.safetensors"
-    save(build_network(ARCHITECTURE), {"name": "paper"}, path)
+    save(build_network(ARCHITECTURE), {"name": "paper", "version": "1"}, path)
     return str(path)
 
 
@@ -48,16 +49,18 @@ def answer(cloud: Cloud, weights: str, at_once: int, folder: Path) -> NDArray[np
     """Points of the engine's answer."""
     body = io.BytesIO()
     formats.write(cloud, body, format="ply")
+    settings = Settings(engine="inline", workers=2, spool_dir=folder, model=weights)
+    models = Models(settings)
     request = replace(
-        self_test_request(weights, deadline_s=60.0),
+        self_test_request(models.default.id, deadline_s=60.0),
         max_points=10_000,
         max_output_points=20_000,
         one_task_patches=at_once,
     )
 
     async def whole() -> bytes:
-        settings = Settings(engine="inline", workers=2, spool_dir=folder, model=weights)
-        engine = Engine(settings)
+        engine = Engine(settings, models.default.id)
+        await models.install(engine)
         await engine.start()
         try:
             data = InMemory(np.frombuffer(body.getvalue(), np.uint8))

@@ -10,6 +10,7 @@ import igl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import formats
 from pugeo_model.cloud import Cloud
@@ -25,7 +26,13 @@ _CENTRE = np.array([5e5, 4e6, 100.0])
 def request(most: int) -> RunRequest:
     """A request for a surface of at most so many points."""
     return make_run_request(
-        Settings(), {"ratio": 1.0}, format=None, answer="ply", deadline_s=60.0, surface_points=most
+        Settings(),
+        {"ratio": 1.0},
+        model=STANDARD,
+        format=None,
+        answer="ply",
+        deadline_s=60.0,
+        surface_points=most,
     )
 
 

@@ -23,8 +23,7 @@ class Route:
 
 def make_telemetry() -> Telemetry:
     """Metrics of an idle service."""
-    model = {"name": "standard", "version": "1", "sha256": "ab"}
-    return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6, 7), "0.1.0", model)
+    return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6, 7), "0.1.0")
 
 
 def exchange(app: Any, telemetry: Telemetry, request_id: str | None = None) -> list[Message]:

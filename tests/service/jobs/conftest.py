@@ -20,7 +20,7 @@ import pytest
 from pugeo_model.errors import MalformedFileError
 from pugeo_service import app as app_module
 from pugeo_service.app import create_app
-from pugeo_service.engine import EngineLostError, RunRequest, RunResult, WorkerLostError
+from pugeo_service.engine import EngineLostError, ModelId, RunRequest, RunResult, WorkerLostError
 from pugeo_service.engine.engine import Status
 from pugeo_service.jobs.manager import JobManager
 from pugeo_service.settings import Settings
@@ -41,7 +41,8 @@ class FakeEngine:
     ``hold`` delays the end of all runs; the body selects an error.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, model: ModelId) -> None:
+        del model
         self.settings = settings
         self.hold = asyncio.Event()
         self.hold.set()
@@ -173,6 +174,7 @@ def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: st
     """Start a service: ``async with open_house(jobs_running=1) as house``; again for a restart."""
     monkeypatch.setattr(app_module, "Engine", FakeEngine)
     monkeypatch.setattr("pugeo_service.jobs.runner._POLL_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.webhooks._POLL_S", 0.05)
     monkeypatch.setattr("pugeo_service.jobs.runner._PROGRESS_S", 0.02)
     monkeypatch.setattr("pugeo_service.jobs.maintenance._INTERVAL_S", 0.05)
     monkeypatch.setattr("pugeo_service.jobs.completion._DATABASE_RETRY_S", 0.05)

@@ -41,8 +41,7 @@ def spans(monkeypatch: pytest.MonkeyPatch) -> Iterator[InMemorySpanExporter]:
 def served() -> TestClient:
     """An application with tracing, a route with stages, and a probe."""
     app = FastAPI(telemetry=tracing.configuration())
-    card = {"name": "standard", "version": "1", "sha256": "0"}
-    telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1", card)
+    telemetry = Telemetry(lambda: Readings(0, 0, 0, 0, 0, 0), "1")
     app.add_middleware(RequestContext, telemetry=lambda: telemetry)
 
     @app.post("/upsample")
