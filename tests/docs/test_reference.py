@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import pytest
 import typer
+from pydantic import TypeAdapter
 
 import pugeo_client
 from pugeo_client import errors
@@ -84,7 +85,8 @@ def test_settings() -> None:
         option, default, _ = listed[f"PUGEO_{name.upper()}"]
         assert option == (f"`--{name.replace('_', '-')}`" if name in options else ""), name
         if default.startswith("`") and name != "jobs_dir":
-            assert type(field.default)(default.strip("`")) == field.default, name
+            read = TypeAdapter(type(field.default)).validate_python(default.strip("`"))
+            assert read == field.default, name
         elif default == "":
             assert field.default in (None, ()), name
 

@@ -192,6 +192,8 @@ def test_names_of_the_contract() -> None:
         "pugeo_rejected",
         "pugeo_cancelled",
         "pugeo_jobs",
+        "pugeo_runs",
+        "pugeo_webhooks",
         "pugeo_jobs_active",
         "pugeo_jobs_bytes",
         "pugeo_workers",
