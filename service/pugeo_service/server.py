@@ -15,17 +15,15 @@ from typing import Any
 import structlog
 import uvicorn
 from prometheus_client import make_asgi_app
-from pydantic import ValidationError
 
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
 from pugeo_service.engine.children import end_children
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
-from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.preflight import unfit_machine, unfit_weights
-from pugeo_service.settings import Settings, explain, unknown_names
+from pugeo_service.settings import Settings
+from pugeo_service.startup import begin, read_settings
 
 __all__ = ["main", "serve"]
 
@@ -92,13 +90,8 @@ def main(given: dict[str, Any]) -> int:
     Returns:
         0 after a clean end, 1 if the service could not start, 2 for a wrong setting.
     """
-    try:
-        settings = Settings(**given)
-    except ValidationError as error:
-        for line in explain(error):
-            sys.stderr.write(line + "\n")
-        return 2
-    return serve(settings)
+    settings = read_settings(given)
+    return 2 if settings is None else serve(settings)
 
 
 def serve(settings: Settings) -> int:
@@ -107,12 +100,8 @@ def serve(settings: Settings) -> int:
     The address is printed on stdout at once, because port 0 selects a free port, and once more when
     requests are served.
     """
-    if problem := tracing.missing_extra() or unfit_machine(settings) or unfit_weights(settings):
-        sys.stderr.write(problem + "\n")
+    if not begin(settings):
         return 2
-    logs.configure(settings.log_format, settings.log_level)
-    for name, similar in unknown_names(os.environ).items():
-        _log.warning("this setting does not exist", name=name, similar=similar)
     server: _Server | None = None
     address = ""
 

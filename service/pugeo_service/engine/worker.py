@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worker process: its preload (``dask worker --preload`` names this module) and its tasks.
+"""The worker process: its preload (named in `dask_config`) and its tasks.
 
 Dask runs a preload before the worker tells the scheduler that it exists, so every worker that
 the scheduler knows is warm.
@@ -19,11 +19,12 @@ from distributed.threadpoolexecutor import ThreadPoolExecutor
 from tornado.ioloop import PeriodicCallback
 
 from pugeo_model.malloc import give_back_freed_memory
+from pugeo_service import __version__
 from pugeo_service.engine import stages
-from pugeo_service.engine.backend import CORE, is_quick
+from pugeo_service.engine.backend import CORE, QUICK, is_quick
 from pugeo_service.engine.self_test import self_test_body, self_test_request
 
-__all__ = ["dask_setup", "one_at_a_time", "run_stage", "warm"]
+__all__ = ["VERSION_METRIC", "dask_setup", "one_at_a_time", "run_stage", "warm"]
 
 T = TypeVar("T")
 
@@ -32,6 +33,10 @@ _GRACE_S = 5.0
 _TIDY_MS = 5_000
 _LOOK_MS = 50
 _SWITCH_S = 5e-4
+_PLENTY = 1_000_000
+
+VERSION_METRIC = "pugeo_version"
+"""Name under which a worker reports its version."""
 
 
 def run_stage(stage: Callable[..., T], seconds: float, *args: Any) -> T:
@@ -65,7 +70,10 @@ def one_at_a_time(worker: Any) -> None:
     The scheduler is told of one thread: of two it would infer twice the memory, and that a worker
     that computes has a thread to spare.
     """
-    worker.state.total_resources[CORE] = worker.state.available_resources[CORE] = 1
+    for name, amount in ((CORE, 1), (QUICK, _PLENTY)):
+        worker.state.total_resources[name] = worker.state.available_resources[name] = amount
+    # For the log of fronts that do not use this worker.
+    worker.metrics[VERSION_METRIC] = lambda _worker: __version__
     worker.executors["default"] = ThreadPoolExecutor(  # type: ignore[no-untyped-call]
         2, thread_name_prefix="pugeo"
     )
