@@ -82,6 +82,14 @@ def test_names_of_dask() -> None:
         assert hasattr(distributed.Nanny, name), name
     assert "self.process" in inspect.getsource(distributed.nanny.WorkerProcess.__init__)
     assert hasattr(distributed.process.AsyncProcess, "pid")
+    assert hasattr(scheduler.Scheduler, "valid_workers")
+    states = inspect.getsource(scheduler.TaskState)
+    for name in ("worker_restrictions", "loose_restrictions", "resource_restrictions"):
+        assert f"{name}:" in states, name
+    for name in ("retire_workers", "identity"):
+        assert hasattr(scheduler.Scheduler, name), name
+    for name in ("worker_address", "finished", "close"):
+        assert hasattr(distributed.Nanny, name), name
     for name in vars(ReportRetries):
         if inspect.isfunction(vars(ReportRetries)[name]) and name != "__init__":
             assert hasattr(SchedulerPlugin, name), name

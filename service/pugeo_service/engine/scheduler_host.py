@@ -33,11 +33,8 @@ class VersionedScheduler(Scheduler):  # type: ignore[misc]
         found = super().valid_workers(ts)
         if found or not ts.loose_restrictions or not ts.resource_restrictions:
             return found
-        named, ts.worker_restrictions = ts.worker_restrictions, None
-        try:
-            return super().valid_workers(ts)
-        finally:
-            ts.worker_restrictions = named
+        ts.worker_restrictions, ts.loose_restrictions = set(), False
+        return super().valid_workers(ts)
 
 
 async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:

@@ -3,6 +3,7 @@
 
 import asyncio
 import contextlib
+import logging
 import subprocess
 from typing import Any
 
@@ -120,6 +121,7 @@ class WorkerHost:
                 dashboard=False,
                 dashboard_address="127.0.0.1:0",
                 death_timeout=settings.start_s,
+                silence_logs=logging.WARNING,
                 env=worker_environment(settings.model),
             )
             self._nannies.add(nanny)
