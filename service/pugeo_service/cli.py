@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``pugeo serve`` and ``pugeo keys``."""
+"""``pugeo serve``, ``pugeo scheduler``, ``pugeo worker`` and ``pugeo keys``."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-__all__ = ["keys", "serve"]
+__all__ = ["keys", "scheduler", "serve", "worker"]
 
 Option = typer.Option
 
@@ -74,6 +74,59 @@ def serve(
         from pugeo_service.server import main
 
     raise typer.Exit(main(given))
+
+
+def scheduler(
+    host: Annotated[str, Option(help="Address to listen on, also for other machines.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, Option(min=0, max=65535, help="Port; 0 takes a free one.")] = 8786,
+    log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
+    log_level: Annotated[str | None, Option(help="debug, info, warning or error [info].")] = None,
+) -> None:
+    """Schedule the work of fronts (pugeo serve --scheduler) on workers (pugeo worker).
+
+    All connections are mutual TLS: PUGEO_TLS_CA, PUGEO_TLS_CERT and PUGEO_TLS_KEY name the files.
+    """
+    given: dict[str, Any] = {"log_format": log_format, "log_level": log_level}
+    with _needs_extra("scheduler"):
+        from pugeo_service.cluster import scheduler_main
+
+    chosen = {name: value for name, value in given.items() if value is not None}
+    address = f"tls://[{host}]:{port}" if ":" in host else f"tls://{host}:{port}"
+    raise typer.Exit(scheduler_main({"scheduler": address, **chosen}))
+
+
+def worker(
+    scheduler: Annotated[
+        str | None, Option(help="tls://host:port of a `pugeo scheduler` [PUGEO_SCHEDULER].")
+    ] = None,
+    workers: Annotated[
+        int | None, Option(help="Worker processes; 0: one per processor, at least two [0].")
+    ] = None,
+    worker_memory: Annotated[
+        str | None, Option(help="Memory limit of a worker: 2GB, or a share of all memory [auto].")
+    ] = None,
+    model: Annotated[str | None, Option(help="Name or path of the weights [standard].")] = None,
+    host: Annotated[
+        str | None,
+        Option(help="Address at which other machines reach these workers [that of the way out]."),
+    ] = None,
+    spool_dir: Annotated[Path | None, Option(help="Folder for temporary files.")] = None,
+    log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
+    log_level: Annotated[str | None, Option(help="debug, info, warning or error [info].")] = None,
+) -> None:
+    """Work for a scheduler, on this machine, for fronts on others.
+
+    Options can also be set in the environment, as for `pugeo serve`; PUGEO_TLS_CA, PUGEO_TLS_CERT
+    and PUGEO_TLS_KEY name the certificates. A scheduler that goes away is waited for.
+    """
+    given = {name: value for name, value in locals().items() if value is not None}
+    given.pop("host", None)
+    with _needs_extra("worker"):
+        from pugeo_service.cluster import worker_main
+
+    raise typer.Exit(worker_main(given, host))
 
 
 def keys(

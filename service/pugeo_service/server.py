@@ -15,7 +15,6 @@ from typing import Any
 import structlog
 import uvicorn
 from prometheus_client import make_asgi_app
-from pydantic import ValidationError
 
 from pugeo_model.errors import BadOptionError
 from pugeo_service.app import create_app
@@ -24,10 +23,9 @@ from pugeo_service.engine.children import end_children
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.models import Models
-from pugeo_service.observability import logs, tracing
 from pugeo_service.observability.telemetry import Telemetry
-from pugeo_service.preflight import unfit_machine
-from pugeo_service.settings import Settings, explain, unknown_names
+from pugeo_service.settings import Settings
+from pugeo_service.startup import begin, read_settings
 
 __all__ = ["main", "serve"]
 
@@ -94,13 +92,8 @@ def main(given: dict[str, Any]) -> int:
     Returns:
         0 after a clean end, 1 if the service could not start, 2 for a wrong setting.
     """
-    try:
-        settings = Settings(**given)
-    except ValidationError as error:
-        for line in explain(error):
-            sys.stderr.write(line + "\n")
-        return 2
-    return serve(settings)
+    settings = read_settings(given)
+    return 2 if settings is None else serve(settings)
 
 
 def serve(settings: Settings) -> int:
@@ -109,17 +102,13 @@ def serve(settings: Settings) -> int:
     The address is printed on stdout at once, because port 0 selects a free port, and once more when
     requests are served.
     """
-    if problem := tracing.missing_extra() or unfit_machine(settings):
-        sys.stderr.write(problem + "\n")
+    if not begin(settings):
         return 2
     try:
         models = Models(settings)
     except BadOptionError as error:
         sys.stderr.write(error.message + "\n")
         return 2
-    logs.configure(settings.log_format, settings.log_level)
-    for name, similar in unknown_names(os.environ).items():
-        _log.warning("this setting does not exist", name=name, similar=similar)
     server: _Server | None = None
     address = ""
 

@@ -35,6 +35,7 @@ def ball(count: int) -> bytes:
 
 # One worker has patches of the large one to compute for seconds.
 SMALL, LARGE = ball(3000), ball(50_000)
+PUGEO = "from pugeo_model.cli import main; main()"
 
 
 class Post(threading.Thread):
@@ -186,56 +187,66 @@ def test_inline(launch: Any, server: Any) -> None:
 
 
 class ExternalCluster:
-    """An external Dask scheduler and worker with mutual TLS."""
+    """A scheduler and a machine with one worker, with mutual TLS."""
 
-    def __init__(self, folder: Path) -> None:
-        from distributed import Security
-
-        security: Any = Security
-        temporary = security.temporary()
-        files = {}
-        for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
-            files[name] = str(folder / f"{name}.pem")
-            Path(files[name]).write_text(getattr(temporary, name))
-        ca, cert, key = files.values()
-        self.credentials = {"PUGEO_TLS_CA": ca, "PUGEO_TLS_CERT": cert, "PUGEO_TLS_KEY": key}
+    def __init__(self, folder: Path, root: Path) -> None:
+        subprocess.run([sys.executable, root / "deploy/make_certs.py", folder], check=True)
+        self.credentials = {
+            f"PUGEO_TLS_{name.upper()}": str(folder / f"{name}.pem")
+            for name in ("ca", "cert", "key")
+        }
         with socket.create_server(("127.0.0.1", 0)) as probe:
-            self.address = f"tls://127.0.0.1:{probe.getsockname()[1]}"
-        self._common = ["--no-dashboard", "--tls-ca-file", ca, "--tls-cert", cert, "--tls-key", key]
+            self._port = probe.getsockname()[1]
+        self.address = f"tls://127.0.0.1:{self._port}"
         self._folder = folder
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self.scheduler: subprocess.Popen[bytes] | None = None
+        self.worker: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> None:
-        """Start both."""
-        preload = ["--preload", "pugeo_service.engine.worker"]
-        spill = ["--local-directory", str(self._folder)]
-        self._run("scheduler", "--host", self.address)
-        self._run("worker", self.address, "--nthreads", "1", *preload, *spill)
+    def start_scheduler(self) -> None:
+        """Start the scheduler."""
+        self.scheduler = self._run("scheduler", "--port", str(self._port))
 
-    def stop(self) -> None:
-        """End both, the scheduler by SIGKILL."""
-        while self._processes:
-            process = self._processes.pop()
-            process.send_signal(signal.SIGTERM if self._processes else signal.SIGKILL)
-            process.wait(30)
+    def start_worker(self) -> None:
+        """Start the worker."""
+        options = ["--workers", "1", "--spool-dir", str(self._folder)]
+        self.worker = self._run("worker", "--scheduler", self.address, *options)
 
-    def _run(self, *arguments: str) -> None:
+    def kill_scheduler(self) -> None:
+        """End the scheduler by SIGKILL."""
+        assert self.scheduler is not None
+        self.scheduler.kill()
+        self.scheduler.wait(30)
+        self.scheduler = None
+
+    def stop(self) -> list[int]:
+        """End both by SIGTERM, the worker first; return their exit statuses."""
+        statuses = []
+        for process in (self.worker, self.scheduler):
+            if process is not None:
+                process.send_signal(signal.SIGTERM)
+                statuses.append(process.wait(90))
+        self.worker = self.scheduler = None
+        return statuses
+
+    def _run(self, *arguments: str) -> "subprocess.Popen[bytes]":
         with (self._folder / "cluster.log").open("a") as log:
-            command = [sys.executable, "-m", "dask", *arguments, *self._common]
-            self._processes.append(subprocess.Popen(command, stdout=log, stderr=log))
+            command = [sys.executable, "-c", PUGEO, *arguments]
+            environment = os.environ | self.credentials
+            return subprocess.Popen(command, stdout=log, stderr=log, env=environment)
 
 
 @pytest.fixture
-def external(tmp_path: Path) -> Iterator[ExternalCluster]:
+def external(tmp_path: Path, root: Path) -> Iterator[ExternalCluster]:
     """An external cluster, not started yet."""
-    cluster = ExternalCluster(tmp_path)
+    cluster = ExternalCluster(tmp_path, root)
     yield cluster
     cluster.stop()
 
 
 def test_an_external_cluster(external: ExternalCluster, launch: Any, server: Any) -> None:
-    """PUGEO_SCHEDULER gives the same answers; the cluster runs on after the front."""
-    external.start()
+    """PUGEO_SCHEDULER gives the same answers; the cluster runs on after the front, and ends so."""
+    external.start_worker()
+    external.start_scheduler()
     for _ in range(2):
         with launch("--scheduler", external.address, **external.credentials) as front:
             front.wait_until_ready()
@@ -246,17 +257,19 @@ def test_an_external_cluster(external: ExternalCluster, launch: Any, server: Any
             assert front.stop() == 0
     near = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
     np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)
+    assert external.stop() == [0, 0]
 
 
 @pytest.mark.long
 def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> None:
-    """While the cluster is gone all requests get 503, running ones too; then 200."""
-    external.start()
+    """While the scheduler is gone all requests get 503, running ones too; then workers return."""
+    external.start_scheduler()
+    external.start_worker()
     with launch("--scheduler", external.address, **external.credentials) as front:
         front.wait_until_ready()
         waiting = begun(front, LARGE)
         front.wait_until_working()
-        external.stop()
+        external.kill_scheduler()
         waiting.join()
         assert waiting.response is not None
         found = waiting.response.json()
@@ -266,7 +279,7 @@ def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> Non
             assert refused.status_code == 503, refused.text
         assert httpx2.get(f"{front.url}/health/ready").json()["code"] == "no_worker"
         assert httpx2.get(f"{front.url}/health/live").status_code == 200
-        external.start()
+        external.start_scheduler()
         front.wait_until_ready()
         answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
         assert answer.status_code == 200, answer.text

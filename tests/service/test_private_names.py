@@ -14,7 +14,7 @@ from distributed.worker_state_machine import WorkerState
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from pugeo_service.engine.dask_backend import _CONFIG
+from pugeo_service.engine.dask_config import CONFIG
 from pugeo_service.engine.retries import ReportRetries
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.http.request_limits import RequestLimits
@@ -54,7 +54,7 @@ def test_names_of_the_server() -> None:
         assert hasattr(server, name), name
 
 
-@pytest.mark.parametrize("key", sorted(_CONFIG))
+@pytest.mark.parametrize("key", sorted(CONFIG))
 def test_configuration_of_dask(key: str) -> None:
     """Each configured key, or its parent where Dask allows any key, has a default."""
     parent = key.rpartition(".")[0] if "environ" in key else key
@@ -82,6 +82,14 @@ def test_names_of_dask() -> None:
         assert hasattr(distributed.Nanny, name), name
     assert "self.process" in inspect.getsource(distributed.nanny.WorkerProcess.__init__)
     assert hasattr(distributed.process.AsyncProcess, "pid")
+    assert hasattr(scheduler.Scheduler, "valid_workers")
+    states = inspect.getsource(scheduler.TaskState)
+    for name in ("worker_restrictions", "loose_restrictions", "resource_restrictions"):
+        assert f"{name}:" in states, name
+    for name in ("retire_workers", "identity"):
+        assert hasattr(scheduler.Scheduler, name), name
+    for name in ("worker_address", "finished", "close"):
+        assert hasattr(distributed.Nanny, name), name
     for name in vars(ReportRetries):
         if inspect.isfunction(vars(ReportRetries)[name]) and name != "__init__":
             assert hasattr(SchedulerPlugin, name), name

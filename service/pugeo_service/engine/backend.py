@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 if TYPE_CHECKING:
     from pugeo_model.weights import Weights
 
-__all__ = ["CORE", "Backend", "Handle", "is_quick", "quick"]
+from pugeo_service import __version__
 
-CORE = "core"
-"""Dask resource of which a worker has one: stages that compute need it, so they run one by one."""
+__all__ = ["CORE", "QUICK", "Backend", "Handle", "is_quick", "quick"]
+
+CORE = f"core-{__version__}"
+"""Dask resource of which a worker has one: stages that compute need it, so they run one by one.
+
+It is named after the version, so that workers of another version are given no task.
+"""
+QUICK = f"quick-{__version__}"
+"""Dask resource of which a worker has more than it needs: stages that only look something up."""
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)

@@ -15,22 +15,27 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-import dask
 import distributed
 import psutil
 import structlog
-from distributed import scheduler
 from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_model.weights import Weights
-from pugeo_service.engine.backend import CORE, Handle, is_quick
+from pugeo_service import __version__
+from pugeo_service.engine.backend import CORE, QUICK, Handle, is_quick
 from pugeo_service.engine.children import end_processes
+from pugeo_service.engine.dask_config import (
+    configure_dask,
+    mutual_tls,
+    scheduler_options,
+    worker_environment,
+)
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.heartbeats import HeartbeatWatch
 from pugeo_service.engine.model_plugin import ModelPlugin
 from pugeo_service.engine.retries import TOPIC, ReportRetries
-from pugeo_service.engine.worker import run_stage
+from pugeo_service.engine.worker import VERSION_METRIC, run_stage
 from pugeo_service.settings import Settings
 
 __all__ = ["DaskBackend"]
@@ -41,54 +46,16 @@ _log = structlog.stdlib.get_logger("pugeo.engine")
 # Its annotations cover half of it and contradict the other half.
 _dask: Any = distributed
 
-_CONFIG = {
-    # A task that ends two workers is regarded as the cause.
-    "distributed.scheduler.allowed-failures": 1,
-    # A body travels as an argument, so that Dask can repeat a lost step by itself.
-    "distributed.admin.large-graph-warning-threshold": "10 GB",
-    "distributed.worker.preload": ["pugeo_service.engine.worker"],
-    "distributed.worker.multiprocessing-method": "spawn",
-    # By default a worker that needs more than 15 s to come back is given up for good.
-    "distributed.deploy.lost-worker-timeout": "365 days",
-    # No side doors: the ports that Dask insists on opening answer nothing.
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-    # The two threads of a worker share one arena of free memory.
-    "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": "1",
-    # Tasks of one kind are neither held back in the scheduler nor moved away from their inputs
-    # because there are many of them.
-    "distributed.scheduler.rootish-taskgroup-dependencies": 0,
-    # Each connection would keep its last 1,000 messages below a megabyte, bodies and all.
-    "distributed.admin.low-level-log-length": 10,
-    # Nobody reads Dask's profiler.
-    "distributed.worker.profile.enabled": False,
-    # Dask watches its loops 50 times a second, the memory of workers 10 times, itself twice, in
-    # each of its servers: a front without requests took 4.2 % of a core, and takes 1.8 % so.
-    "distributed.admin.tick.interval": "500ms",
-    "distributed.admin.system-monitor.interval": "10s",
-    "distributed.worker.memory.monitor-interval": "500ms",
-}
-# Processes are the unit of parallelism; threads in each would fight over the same cores.
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
 _GONE = frozenset({distributed.Status.closed, distributed.Status.failed})
 _POLL_S = 0.5
+# Without an answer of the scheduler for so long, no worker counts. The embedded one answers in this
+# event loop, which may be busy; one that is cut off must be told of within 2 s.
 _SILENCE_S = 3.0
+_FAR_SILENCE_S = 1.0
+# So long until the connection is given up, and all that runs with it.
+_LOST_S = 10.0
 _RISE_S = 2.0
 _CLOSE_S = 20.0
-
-
-class _NoSpans:
-    """Replaces Dask's record of all work, which grows with each request and is never pruned."""
-
-    def __init__(self, _scheduler: object) -> None: ...
-
-    def __bool__(self) -> bool:
-        return False
-
-    def heartbeat(self, *_: object) -> None:
-        """Ignore the reports of workers."""
 
 
 class DaskBackend:
@@ -104,6 +71,8 @@ class DaskBackend:
         self._heartbeats = HeartbeatWatch()
         # Processes that are not workers yet, and the times at which they were first seen.
         self._starting: dict[int, float] = {}
+        # Workers of another version, by address; they are told of once.
+        self._foreign: frozenset[str] = frozenset()
         self.worker_memory: int | None = None
         self.lost_workers = 0
         self.retried_patches = 0
@@ -131,9 +100,7 @@ class DaskBackend:
         Raises:
             EngineStartError: no worker process can start.
         """
-        dask.config.set(_CONFIG)
-        for name in ("distributed", "distributed.nanny", "distributed.scheduler"):
-            logging.getLogger(name).setLevel(logging.WARNING)
+        configure_dask()
         settings = self._settings
         if settings.scheduler is None:
             security = _dask.Security.temporary()
@@ -145,12 +112,9 @@ class DaskBackend:
                 asynchronous=True,
                 security=security,
                 dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={
-                    "dashboard": False,
-                    "extensions": {**scheduler.DEFAULT_EXTENSIONS, "spans": _NoSpans},
-                },
+                scheduler_kwargs=scheduler_options(),
                 local_directory=str(settings.spool_dir),
-                env={**_ONE_THREAD, "PUGEO_MODEL": settings.model},
+                env=worker_environment(settings.model),
             )
             # Cancelling the start does not cancel this: a cluster can be closed when it is up, or
             # before it began, but not in between.
@@ -237,7 +201,7 @@ class DaskBackend:
                 workers=worker,
                 # The named worker may be gone.
                 allow_other_workers=worker is not None,
-                resources=None if is_quick(stage) else {CORE: 1},
+                resources={QUICK if is_quick(stage) else CORE: 1},
             )
         except ClosedClientError as error:
             raise EngineLostError(str(error)) from error
@@ -273,13 +237,7 @@ class DaskBackend:
         if self._cluster is not None:
             address, security = self._cluster, self._cluster.security
         else:
-            address = settings.scheduler
-            security = _dask.Security(
-                tls_ca_file=str(settings.tls_ca),
-                tls_client_cert=str(settings.tls_cert),
-                tls_client_key=str(settings.tls_key),
-                require_encryption=True,
-            )
+            address, security = settings.scheduler, mutual_tls(settings)
         # Results go from worker to front without a copy in the scheduler.
         self._client = await _dask.Client(
             address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
@@ -305,15 +263,23 @@ class DaskBackend:
         return self._client
 
     async def _keep_looking(self) -> None:
+        silence = _SILENCE_S if self._cluster is not None else _FAR_SILENCE_S
         while True:
             await asyncio.sleep(_POLL_S)
+            looking = asyncio.create_task(self._look())
             try:
-                async with asyncio.timeout(_SILENCE_S):
-                    await self._look()
-            except (OSError, EngineLostError):
+                async with asyncio.timeout(_LOST_S):
+                    await asyncio.wait({looking}, timeout=silence)
+                    if not looking.done():
+                        self._workers = frozenset()
+                    await looking
+            except (OSError, EngineLostError) as error:
                 self._workers = frozenset()
                 if self._cluster is None:
+                    _log.warning("the scheduler is lost; it is tried again", reason=str(error))
                     await self._connect_again()
+            finally:
+                looking.cancel()
 
     async def _connect_again(self) -> None:
         """Connect again to a scheduler that went away; Dask's own client gives up too early."""
@@ -322,12 +288,14 @@ class DaskBackend:
             if client is not None:
                 await client.close(timeout=1)
             await self._connect()
+            _log.info("connected to the scheduler again")
 
     async def _look(self) -> None:
         scheduler = self._connected.scheduler
         if scheduler is None:
             raise EngineLostError("the connection to the scheduler is closed")
         identity = await scheduler.identity(n_workers=-1)
+        self._tell_foreign(identity["workers"])
         hanging = self._heartbeats.hanging(
             {address: worker["last_seen"] for address, worker in identity["workers"].items()},
             self._pids(),
@@ -335,7 +303,7 @@ class DaskBackend:
         workers = frozenset(
             worker["id"] if isinstance(worker["id"], str) else address
             for address, worker in identity["workers"].items()
-            # Without a core it would never be given work: see `worker.one_at_a_time`.
+            # Without such a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
             if address not in hanging
         )
@@ -346,6 +314,20 @@ class DaskBackend:
         if self._cluster is not None:
             self._end_hanging(hanging)
             self._replace_nannies()
+
+    def _tell_foreign(self, workers: dict[str, Any]) -> None:
+        """Log each worker of another version once; tasks need resources that it does not have."""
+        foreign = {
+            address: worker.get("metrics", {}).get(VERSION_METRIC, "of unknown version")
+            for address, worker in workers.items()
+            if CORE not in worker["resources"]
+        }
+        for address in foreign.keys() - self._foreign:
+            _log.error(
+                f"worker {address} runs pugeo {foreign[address]}, this service {__version__}: it "
+                "is not used"
+            )
+        self._foreign = frozenset(foreign)
 
     def _processes(self) -> set[psutil.Process]:
         """Return our own worker processes, also those that are starting."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worker process: its preload (``dask worker --preload`` names this module) and its tasks.
+"""The worker process: its preload (named in `dask_config`) and its tasks.
 
 Dask runs a preload before the worker tells the scheduler that it exists, so every worker that
 the scheduler knows is warm.
@@ -21,12 +21,13 @@ from tornado.ioloop import PeriodicCallback
 from pugeo_model.errors import BadOptionError
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.weights import read_card
+from pugeo_service import __version__
 from pugeo_service.engine import stages
-from pugeo_service.engine.backend import CORE, is_quick
+from pugeo_service.engine.backend import CORE, QUICK, is_quick
 from pugeo_service.engine.messages import ModelId
 from pugeo_service.engine.self_test import self_test_body, self_test_request
 
-__all__ = ["dask_setup", "one_at_a_time", "run_stage", "warm"]
+__all__ = ["VERSION_METRIC", "dask_setup", "one_at_a_time", "run_stage", "warm"]
 
 T = TypeVar("T")
 
@@ -36,6 +37,10 @@ _TIDY_MS = 5_000
 _LOOK_MS = 50
 _SWITCH_S = 5e-4
 _RELEASED = "standard"
+_PLENTY = 1_000_000
+
+VERSION_METRIC = "pugeo_version"
+"""Name under which a worker reports its version."""
 
 
 def run_stage(stage: Callable[..., T], seconds: float, *args: Any) -> T:
@@ -78,7 +83,10 @@ def one_at_a_time(worker: Any) -> None:
     The scheduler is told of one thread: of two it would infer twice the memory, and that a worker
     that computes has a thread to spare.
     """
-    worker.state.total_resources[CORE] = worker.state.available_resources[CORE] = 1
+    for name, amount in ((CORE, 1), (QUICK, _PLENTY)):
+        worker.state.total_resources[name] = worker.state.available_resources[name] = amount
+    # For the log of fronts that do not use this worker.
+    worker.metrics[VERSION_METRIC] = lambda _worker: __version__
     worker.executors["default"] = ThreadPoolExecutor(  # type: ignore[no-untyped-call]
         2, thread_name_prefix="pugeo"
     )
@@ -92,6 +100,15 @@ def one_at_a_time(worker: Any) -> None:
     worker.periodic_callbacks["add_thread"] = waiting
 
 
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Replace a traceback of Dask by its error: it tells of connections that others have closed."""
+    if record.exc_info and record.exc_info[1] is not None:
+        error = record.exc_info[1]
+        record.msg = f"{record.getMessage()} ({type(error).__name__}: {error})"
+        record.args, record.exc_info, record.exc_text = (), None, None
+    return True
+
+
 def dask_setup(worker: Any) -> None:
     """Warm this process; Dask calls it in every worker before the worker registers."""
     # First, since it cannot fail: if anything below fails, tasks fail too and say why.
@@ -100,6 +117,8 @@ def dask_setup(worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Dask logs every exception with all arguments; the front logs the ones that are bugs.
     logging.getLogger("distributed.worker").setLevel(logging.ERROR)
+    for handler in logging.getLogger("distributed").handlers:
+        handler.addFilter(_in_one_line)
     # The thread that computes yields to the one that transfers ten times as often: 8 patches over
     # two workers take 0.39 s in the median instead of 0.45 s.
     sys.setswitchinterval(_SWITCH_S)

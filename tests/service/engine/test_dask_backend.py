@@ -20,7 +20,7 @@ from tests.service.engine import light_stages as light
 from tests.service.engine.light_tasks import known, submit, until, until_quick, warm
 
 from pugeo_model.errors import MalformedFileError
-from pugeo_service.engine import dask_backend
+from pugeo_service.engine import dask_backend, dask_config
 from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.engine.errors import WorkerLostError
 from pugeo_service.settings import Settings
@@ -35,8 +35,8 @@ Run = Callable[[Coroutine[Any, Any, None]], None]
 @pytest.fixture
 def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
     """Run a scenario against a backend of its own, with light workers."""
-    config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
-    monkeypatch.setattr(dask_backend, "_CONFIG", config)
+    config = {**dask_config.CONFIG, "distributed.worker.preload": [light.__name__]}
+    monkeypatch.setattr(dask_config, "CONFIG", config)
 
     @asynccontextmanager
     async def opened(workers: int) -> AsyncIterator[DaskBackend]:
@@ -57,9 +57,9 @@ def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
 @pytest.fixture(scope="module")
 def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
     """Run a scenario that loses no worker against one backend of one light worker."""
-    config = {**dask_backend._CONFIG, "distributed.worker.preload": [light.__name__]}
+    config = {**dask_config.CONFIG, "distributed.worker.preload": [light.__name__]}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dask_backend, "_CONFIG", config)
+        patch.setattr(dask_config, "CONFIG", config)
         backend = DaskBackend(Settings(workers=1, spool_dir=tmp_path_factory.mktemp("spool")))
         try:
             in_background(backend.start())
@@ -135,8 +135,8 @@ def test_a_worker_without_a_core_does_not_count(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker that was started without the preload does not count as warm."""
-    config = {**dask_backend._CONFIG, "distributed.worker.preload": []}
-    monkeypatch.setattr(dask_backend, "_CONFIG", config)
+    config = {**dask_config.CONFIG, "distributed.worker.preload": []}
+    monkeypatch.setattr(dask_config, "CONFIG", config)
 
     async def scenario(backend: DaskBackend) -> None:
         assert (backend.warm_workers, backend.worker_names) == (0, ())

@@ -23,7 +23,7 @@ from pugeo_service.engine import (
     RunRequest,
     RunResult,
     WorkerLostError,
-    dask_backend,
+    dask_config,
 )
 from pugeo_service.engine.self_test import self_test_body, self_test_request
 from pugeo_service.settings import Settings
@@ -73,10 +73,10 @@ async def run(
 def play(in_background: Run, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
     """Run a scenario against the engine that all tests share: two workers, which poison ends."""
     trap = Path(__file__).with_name("preload_poison.py")
-    config = {**dask_backend._CONFIG, "distributed.worker.preload": [str(trap)]}
+    config = {**dask_config.CONFIG, "distributed.worker.preload": [str(trap)]}
     settings = Settings(workers=2, spool_dir=tmp_path_factory.mktemp("spool"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dask_backend, "_CONFIG", config)
+        patch.setattr(dask_config, "CONFIG", config)
         engine = Engine(settings, STANDARD)
         assert engine.status.workers == 0
         try:

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scheduler of a cluster of several machines, in a process of its own."""
+
+import asyncio
+import resource
+import sys
+from typing import Any
+
+import dask
+import structlog
+from distributed.scheduler import Scheduler
+
+from pugeo_service.engine.dask_config import configure_dask, mutual_tls, scheduler_options
+from pugeo_service.settings import Settings
+
+__all__ = ["VersionedScheduler", "run_scheduler"]
+
+_log = structlog.stdlib.get_logger("pugeo.scheduler")
+# A worker that reports nothing for so long hangs; its nanny is told to start another one.
+_TTL = "30s"
+_CLOSE_S = 10.0
+
+
+class VersionedScheduler(Scheduler):  # type: ignore[misc]
+    """Dask's scheduler, in which the resources of a task bind whatever becomes of its worker.
+
+    A task may name a worker and allow others. Once that worker is gone, Dask forgets the task's
+    resources too, and they tell which version of pugeo may run it.
+    """
+
+    def valid_workers(self, ts: Any) -> Any:
+        """Return the workers that may run a task; ``None`` for all."""
+        found = super().valid_workers(ts)
+        if found or not ts.loose_restrictions or not ts.resource_restrictions:
+            return found
+        ts.worker_restrictions, ts.loose_restrictions = set(), False
+        return super().valid_workers(ts)
+
+
+async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:
+    """Schedule tasks until ``stop`` is set; return the exit status.
+
+    Args:
+        settings: ``scheduler`` is the address to listen on; port 0 takes a free one.
+        stop: set by a signal.
+    """
+    configure_dask()
+    dask.config.set({"distributed.scheduler.worker-ttl": _TTL})
+    _allow_descriptors()
+    try:
+        scheduler = await VersionedScheduler(
+            host=settings.scheduler,
+            security=mutual_tls(settings),
+            dashboard_address="127.0.0.1:0",
+            **scheduler_options(),
+        )
+    except (OSError, RuntimeError) as error:
+        reason = str(error.__cause__ or error)
+        _log.error("cannot listen", address=settings.scheduler, reason=reason)
+        return 1
+    sys.stdout.write(f"pugeo schedules {scheduler.address}\n")
+    sys.stdout.flush()
+    await stop.wait()
+    # Workers and fronts stay, and come back to the next scheduler of this address.
+    await asyncio.wait({asyncio.create_task(scheduler.close(reason="signal"))}, timeout=_CLOSE_S)
+    return 0
+
+
+def _allow_descriptors() -> None:
+    """Allow as many open connections as the system does: each worker and front needs some."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
