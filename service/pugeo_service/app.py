@@ -63,6 +63,7 @@ def create_service(settings: Settings) -> Service:
             jobs_queued=jobs.usage.queued,
             jobs_running=jobs.usage.running,
             jobs_bytes=jobs.usage.bytes,
+            uses=status.uses,
         )
 
     model = {key: str(card[key]) for key in ("name", "version", "sha256")}

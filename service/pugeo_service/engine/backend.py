@@ -4,6 +4,8 @@
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol, TypeVar
 
+from pugeo_service.observability.telemetry import WorkerUse
+
 __all__ = ["CORE", "Backend", "Handle", "is_quick", "quick"]
 
 CORE = "core"
@@ -63,6 +65,10 @@ class Backend(Protocol):
     @property
     def retried_patches(self) -> int:
         """Patches whose task was run again because a worker was lost, since the start."""
+
+    @property
+    def uses(self) -> tuple[WorkerUse, ...]:
+        """Memory and processor time of each worker, some seconds old."""
 
     def submit(
         self,

@@ -29,6 +29,8 @@ from pugeo_service.engine.errors import EngineLostError, EngineStartError, Worke
 from pugeo_service.engine.heartbeats import HeartbeatWatch
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.worker import run_stage
+from pugeo_service.engine.worker_use import worker_name, worker_uses
+from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.settings import Settings
 
 __all__ = ["DaskBackend"]
@@ -105,6 +107,7 @@ class DaskBackend:
         self.worker_memory: int | None = None
         self.lost_workers = 0
         self.retried_patches = 0
+        self.uses: tuple[WorkerUse, ...] = ()
         # Distinguishes the tasks of this front from those of others at the same scheduler.
         self._name = secrets.token_hex(6)
 
@@ -292,7 +295,7 @@ class DaskBackend:
                 async with asyncio.timeout(_SILENCE_S):
                     await self._look()
             except (OSError, EngineLostError):
-                self._workers = frozenset()
+                self._workers, self.uses = frozenset(), ()
                 if self._cluster is None:
                     await self._connect_again()
 
@@ -314,7 +317,7 @@ class DaskBackend:
             self._pids(),
         )
         workers = frozenset(
-            worker["id"] if isinstance(worker["id"], str) else address
+            worker_name(address, worker)
             for address, worker in identity["workers"].items()
             # Without a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
@@ -324,6 +327,7 @@ class DaskBackend:
         self.worker_memory = min((limit for limit in limits if limit), default=None)
         self.lost_workers += len(self._workers - workers)
         self._workers = workers
+        self.uses = worker_uses(identity["workers"])
         if self._cluster is not None:
             self._end_hanging(hanging)
             self._replace_nannies()
