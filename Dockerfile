@@ -13,7 +13,7 @@ ENV PATH=/opt/venv/bin:$PATH
 COPY constraints.txt pyproject.toml ./
 COPY deploy/image/requirements.py deploy/image/prune.py deploy/image/
 RUN --mount=type=cache,target=/root/.cache/pip \
-    pip install --no-deps --retries 1 --index-url "${TORCH_INDEX_URL}" "torch==${TORCH_VERSION}"
+    pip install --no-deps --index-url "${TORCH_INDEX_URL}" "torch==${TORCH_VERSION}"
 RUN --mount=type=cache,target=/root/.cache/pip \
     python deploy/image/requirements.py otel postgres preview > requirements.txt \
     && pip install --constraint constraints.txt --requirement requirements.txt hatchling

@@ -63,7 +63,7 @@ lint: $(VENV)/.installed-dev ## check style, types, imports between packages, an
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --config pyproject.toml
 	@$(BIN)/hadolint Dockerfile
-	@$(BIN)/yamllint --strict docker-compose.yml deploy
+	@$(BIN)/yamllint --strict docker-compose.yml deploy tests/deploy
 	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
 
 format: $(VENV)/.installed-dev ## let ruff format the code and mend what it can

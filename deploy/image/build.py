@@ -117,7 +117,14 @@ def build(base: str | None) -> None:
     STORE.mkdir(parents=True, exist_ok=True)
     if base is None and not has(_BASE):
         make_base()
-    arguments = ["--format", "docker", "--pull-never", "--build-arg", f"BASE={base or _BASE}"]
+    arguments = [
+        "--format",
+        "docker",
+        "--layers",
+        "--pull-never",
+        "--build-arg",
+        f"BASE={base or _BASE}",
+    ]
     if url := os.environ.get("TORCH_INDEX_URL"):
         arguments += ["--build-arg", f"TORCH_INDEX_URL={url}"]
     buildah("build", *arguments, *pip_volumes(), "--tag", TAG, str(ROOT))

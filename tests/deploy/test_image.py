@@ -170,7 +170,8 @@ def is_ready(url: str) -> bool:
 
 def sphere(points: int) -> NDArray[np.float32]:
     drawn = np.random.default_rng(1).normal(size=(points, 3))
-    return (drawn / np.linalg.norm(drawn, axis=1, keepdims=True)).astype(np.float32)
+    drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
+    return drawn.astype(np.float32)
 
 
 def test_it_is_small(image: Image) -> None:

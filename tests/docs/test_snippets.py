@@ -119,8 +119,8 @@ def look_up(command: str) -> None:
         profiles = {name for each in compose.values() for name in each.get("profiles", ())}
         if "--profile" in words:
             assert words[words.index("--profile") + 1] in profiles, command
-        named = words[words.index("up") + 1 :] if "up" in words else []
-        assert {word for word in named if not word.startswith("-")} <= set(compose), command
+        asked = words[words.index("up") + 1 :] if "up" in words else []
+        assert {word for word in asked if not word.startswith("-")} <= set(compose), command
         for path in re.findall(r"\./(deploy/[\w/.]+)", command):
             assert (ROOT / path).exists(), command
     elif words[:2] in (["helm", "install"], ["helm", "upgrade"]):

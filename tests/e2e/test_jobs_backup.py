@@ -23,8 +23,7 @@ def test_another_service_goes_on_with_a_backup(
 ) -> None:
     """Results of a backup are the same bytes, and what was deleted before it stays deleted."""
     folder, backup, restored = (tmp_path / name for name in ("jobs", "backup", "restored"))
-    options = {"PUGEO_ENGINE": "inline", "PUGEO_WORKERS": "1"}
-    with launch(PUGEO_JOBS_DIR=str(folder), **options) as server:
+    with launch("--workers", "1", PUGEO_JOBS_DIR=str(folder)) as server:
         server.wait_until_ready()
         with Client(server.url) as client:
             kept, deleted = (client.submit(sphere, ratio=ratio) for ratio in (4, 2))
@@ -40,7 +39,7 @@ def test_another_service_goes_on_with_a_backup(
     assert second.stdout.startswith("1 files were copied")
     # To restore is to copy.
     shutil.copytree(backup, restored)
-    with launch(PUGEO_JOBS_DIR=str(restored), **options) as server:
+    with launch("--workers", "1", PUGEO_JOBS_DIR=str(restored)) as server:
         server.wait_until_ready()
         with Client(server.url) as client:
             again = client.job(kept.id)
