@@ -60,15 +60,18 @@ class Upstream(BaseHTTPRequestHandler):
 
 @dataclass(frozen=True)
 class Proxy:
-    """A running proxy: its ports, and the certificate that it must show."""
+    """A running proxy: its ports, its configuration, and the certificate that it must show."""
 
     http: int
     https: int
+    configuration: Path
     certificate: Path
 
-    def client(self) -> httpx2.Client:
-        """Return a client that trusts nothing but the certificate."""
-        context = ssl.create_default_context(cafile=str(self.certificate))
+    def client(self, trusting: bool = False) -> httpx2.Client:
+        """Return a client that trusts nothing but the certificate, or everything."""
+        context: ssl.SSLContext | bool = not trusting
+        if not trusting:
+            context = ssl.create_default_context(cafile=str(self.certificate))
         return httpx2.Client(base_url=f"https://localhost:{self.https}", verify=context, timeout=30)
 
 
@@ -95,47 +98,71 @@ def write_certificate(folder: Path) -> Path:
     return folder / "cert.pem"
 
 
-@pytest.fixture(scope="module")
-def proxy(
-    root: Path, tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]
+@contextlib.contextmanager
+def upstream() -> Iterator[int]:
+    """A service on a port of its own."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), Upstream) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield server.server_port
+        finally:
+            Upstream.gate.set()
+            server.shutdown()
+            thread.join()
+
+
+@contextlib.contextmanager
+def running(
+    files: Path, folder: Path, free_port: Callable[[], int], **environment: str
 ) -> Iterator[Proxy]:
-    """The proxy in front of an upstream; only ports and folders differ from the committed files."""
-    folder = tmp_path_factory.mktemp("proxy")
+    """The proxy; only ports, folders and the authority differ from the committed files."""
     ports = {number: free_port() for number in (8080, 8082, 8443, 8444)}
     certificate = write_certificate(folder)
     for name in ("traefik.yml", "routes.yml"):
-        text = (root / "deploy/proxy" / name).read_text("utf-8")
+        text = (files / name).read_text("utf-8")
         for number, port in ports.items():
             text = text.replace(f":{number}", f":{port}")
         for path in ("/etc/traefik", "/certificates", "/acme/"):
             text = text.replace(f" {path}", f" {folder}" + "/" * path.endswith("/"))
+        nobody = f"caServer: http://127.0.0.1:{free_port()}"
+        text = text.replace("      httpChallenge:", f"      {nobody}\n      httpChallenge:")
         (folder / name).write_text(text, "utf-8")
-    with contextlib.ExitStack() as opened:
-        server = opened.enter_context(ThreadingHTTPServer(("127.0.0.1", 0), Upstream))
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        opened.callback(thread.join)
-        opened.callback(server.shutdown)
-        opened.callback(Upstream.gate.set)
-        environment = {
-            "PUGEO_UPSTREAMS": f"http://127.0.0.1:{server.server_port}",
-            "PUGEO_CONNECTIONS_PER_ADDRESS": str(CONNECTIONS),
-            "PUGEO_REQUESTS_PER_ADDRESS": str(REQUESTS),
-        }
-        command = [str(TRAEFIK), f"--configfile={folder}/traefik.yml"]
-        log = opened.enter_context((folder / "log").open("wb"))
-        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
-        opened.callback(process.wait)
-        opened.callback(process.kill)
-        proxy = Proxy(ports[8080], ports[8443], certificate)
-        wait_until(lambda: answers(proxy), folder / "log")
+    given = {
+        "PUGEO_CONNECTIONS_PER_ADDRESS": str(CONNECTIONS),
+        "PUGEO_REQUESTS_PER_ADDRESS": str(REQUESTS),
+    }
+    command = [str(TRAEFIK), f"--configfile={folder}/traefik.yml"]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(command, env=given | environment, stdout=log, stderr=log)
+        try:
+            proxy = Proxy(ports[8080], ports[8443], folder / "traefik.yml", certificate)
+            wait_until(lambda: answers(proxy), folder / "log")
+            yield proxy
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def proxy(
+    root: Path, tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]
+) -> Iterator[Proxy]:
+    """The proxy in front of one upstream, with a certificate from a folder."""
+    folder = tmp_path_factory.mktemp("proxy")
+    with (
+        upstream() as port,
+        running(
+            root / "deploy/proxy", folder, free_port, PUGEO_UPSTREAMS=f"http://127.0.0.1:{port}"
+        ) as found,
+    ):
         told = (folder / "log").read_text("utf-8")
         assert '"level":"error"' not in told, told
-        yield proxy
+        yield found
 
 
 def answers(proxy: Proxy) -> bool:
-    with proxy.client() as client:
+    with proxy.client(trusting=True) as client:
         try:
             return bool(client.get("/").status_code == 200)
         except httpx2.HTTPError:
@@ -157,6 +184,13 @@ def test_it_shows_our_certificate_and_tells_the_address(proxy: Proxy) -> None:
     assert "X-Forwarded-For: 127.0.0.1" in told
     assert "10.9.8.7" not in told
     assert "X-Forwarded-Proto: https" in told
+
+
+def test_its_health_check(proxy: Proxy) -> None:
+    """The command of the container's health check succeeds while the proxy runs."""
+    command = [str(TRAEFIK), "healthcheck", f"--configfile={proxy.configuration}"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_large_bodies_pass(proxy: Proxy) -> None:
@@ -217,3 +251,34 @@ def test_requests_of_an_address_are_bounded(proxy: Proxy) -> None:
     for thread in threads:
         thread.join()
     assert sorted(statuses) == [200] * REQUESTS + [429]
+
+
+def test_a_front_that_is_gone_costs_no_request(
+    root: Path, tmp_path: Path, free_port: Callable[[], int]
+) -> None:
+    """Of two fronts one refuses connections: every request is answered by the other."""
+    with upstream() as port:
+        upstreams = f"http://127.0.0.1:{free_port()},http://127.0.0.1:{port}"
+        files = root / "deploy/proxy"
+        with (
+            running(files, tmp_path, free_port, PUGEO_UPSTREAMS=upstreams) as proxy,
+            proxy.client() as client,
+        ):
+            statuses = [client.post("/", content=b"cloud").status_code for _ in range(20)]
+    assert statuses == [200] * 20
+
+
+def test_a_public_name_alone_is_served(
+    root: Path, tmp_path: Path, free_port: Callable[[], int]
+) -> None:
+    """With PUGEO_DOMAIN an authority is asked for a certificate, and other names are not found."""
+    with upstream() as port:
+        given = {"PUGEO_UPSTREAMS": f"http://127.0.0.1:{port}", "PUGEO_DOMAIN": "localhost"}
+        with (
+            running(root / "deploy/proxy", tmp_path, free_port, **given) as proxy,
+            proxy.client(trusting=True) as client,
+        ):
+            assert client.get("/").status_code == 200
+            assert client.get("/", headers={"Host": "pugeo.example"}).status_code == 404
+            told = tmp_path / "log"
+            wait_until(lambda: "Unable to obtain ACME certificate" in told.read_text("utf-8"), told)
