@@ -11,18 +11,19 @@ WORKDIR /src
 RUN python3 -m venv /opt/venv
 ENV PATH=/opt/venv/bin:$PATH
 COPY constraints.txt pyproject.toml ./
-COPY deploy/requirements.py deploy/
+COPY deploy/image/requirements.py deploy/image/prune.py deploy/image/
 RUN --mount=type=cache,target=/root/.cache/pip \
     pip install --no-deps --index-url "${TORCH_INDEX_URL}" "torch==${TORCH_VERSION}"
 RUN --mount=type=cache,target=/root/.cache/pip \
-    python deploy/requirements.py otel surfaces > requirements.txt \
+    python deploy/image/requirements.py otel postgres surfaces > requirements.txt \
     && pip install --constraint constraints.txt --requirement requirements.txt hatchling
 COPY LICENSE README.md ./
 COPY client client
 COPY model model
 COPY service service
 RUN pip install --no-cache-dir --no-deps --no-build-isolation . \
-    && pip uninstall --yes hatchling pip
+    && pip uninstall --yes hatchling pip \
+    && python deploy/image/prune.py /opt/venv
 
 # ---- what runs ----
 FROM ${BASE}

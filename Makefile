@@ -16,7 +16,7 @@ PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page check-page test coverage test-long test-page test-postgres serve lint format train bench docs digests openapi constraints clean
+.PHONY: help install demo page check-page test coverage test-long test-page test-postgres image serve lint format train bench docs digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,10 @@ check-page: viewer/node_modules/.installed ## fail where the built page is not w
 test-page: $(VENV)/.installed-dev viewer/node_modules/.installed ## try the page in Chromium (ARGS="-g swipe")
 	@cd viewer && npm test --silent -- $(ARGS)
 
+image: $(VENV)/.installed-dev ## build the container image without a registry, weigh it, and try it (needs buildah)
+	@$(BIN)/python deploy/image/build.py $(ARGS)
+	@$(BIN)/python -m pytest -m long tests/deploy/test_image.py
+
 serve: $(VENV)/.installed-demo ## run the service on port 8000 (ARGS="--port 9000")
 	@$(BIN)/python -m pugeo_service $(ARGS)
 
@@ -59,7 +63,7 @@ lint: $(VENV)/.installed-dev ## check style, types, imports between packages, an
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --config pyproject.toml
 	@$(BIN)/hadolint Dockerfile
-	@$(BIN)/yamllint --strict docker-compose.yml deploy
+	@$(BIN)/yamllint --strict docker-compose.yml deploy tests/deploy
 	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
 
 format: $(VENV)/.installed-dev ## let ruff format the code and mend what it can

@@ -175,9 +175,7 @@ def _cluster(workers: int, options: argparse.Namespace) -> Iterator[Cluster]:
             "PUGEO_QUEUE_PATCHES": str(options.points),
             "PUGEO_DEADLINE_S": str(_PATIENCE_S),
         }
-        scheduler = running.enter_context(
-            _process(["scheduler", "--port", "0"], environment)
-        )
+        scheduler = running.enter_context(_process(["scheduler", "--port", "0"], environment))
         assert scheduler.stdout is not None
         address = scheduler.stdout.readline().split()[-1]
         named = {**environment, "PUGEO_SCHEDULER": address}

@@ -23,6 +23,7 @@ _ORDER = (
     "tests/service/engine/test_dask_backend.py",
     "tests/e2e/test_service_lifecycle.py",
     "tests/e2e/test_jobs.py",
+    "tests/deploy/test_chart_commands.py",
     "tests/client",
     "tests/e2e",
     "tests/docs/test_snippets.py",

@@ -60,6 +60,7 @@ def create_service(settings: Settings, models: Models) -> Service:
             jobs_running=jobs.usage.running,
             jobs_bytes=jobs.usage.bytes,
             models=[model.described for model in models],
+            uses=status.uses,
         )
 
     telemetry = Telemetry(read, __version__)

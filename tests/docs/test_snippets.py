@@ -25,7 +25,7 @@ Serve = Callable[..., str]
 ROOT = Path(__file__).resolve().parents[2]
 RUNNABLE = [page for page in pages(ROOT) if any(s.language in RUN for s in snippets(page, ROOT))]
 # Installs and containers are too much for a test: what they name is looked up instead.
-LOOKED_UP = re.compile(r"(make|docker|pip install|\. \.venv/bin/activate)\b")
+LOOKED_UP = re.compile(r"(make|docker|helm|kubectl|pip install|\. \.venv/bin/activate)\b")
 # Lines of progress, which a busy machine has more of.
 PROGRESS = re.compile(r"^[\w ]+: \d+%(, about \d+ \w+ left)?\n", re.MULTILINE)
 # curl is silent about an error's status unless told otherwise.
@@ -119,12 +119,25 @@ def look_up(command: str) -> None:
         profiles = {name for each in compose.values() for name in each.get("profiles", ())}
         if "--profile" in words:
             assert words[words.index("--profile") + 1] in profiles, command
-        assert set(words[words.index("up") + 1 :]) <= set(compose), command
+        asked = words[words.index("up") + 1 :] if "up" in words else []
+        assert {word for word in asked if not word.startswith("-")} <= set(compose), command
+        for path in re.findall(r"\./(deploy/[\w/.]+)", command):
+            assert (ROOT / path).exists(), command
+    elif words[:2] in (["helm", "install"], ["helm", "upgrade"]):
+        look_up_values(ROOT / words[3] / "values.yaml", re.findall(r"--set ([\w.]+)=", command))
     elif words[0] == "docker":
-        assert words[1] in {"build", "run"}, command
+        assert words[1] in {"build", "run", "tag"}, command
         for variable in re.findall(r"PUGEO_\w+", command):
             settings = (ROOT / "docs/reference/settings.md").read_text("utf-8")
             assert f"`{variable}`" in settings, command
+
+
+def look_up_values(path: Path, names: list[str]) -> None:
+    """Check that a chart has values of these names."""
+    for name in names:
+        value = yaml.safe_load(path.read_text("utf-8"))
+        for part in name.split("."):
+            value = value[part]
 
 
 def compare(printed: str, shown: Snippet) -> None:

@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from pugeo_service import __version__
+from pugeo_service.observability.telemetry import WorkerUse
+
 if TYPE_CHECKING:
     from pugeo_model.weights import Weights
-
-from pugeo_service import __version__
 
 __all__ = ["CORE", "QUICK", "Backend", "Handle", "is_quick", "quick"]
 
@@ -81,6 +82,10 @@ class Backend(Protocol):
     @property
     def retried_patches(self) -> int:
         """Patches whose task was run again because a worker was lost, since the start."""
+
+    @property
+    def uses(self) -> tuple[WorkerUse, ...]:
+        """Memory and processor time of each worker, some seconds old."""
 
     def submit(
         self,

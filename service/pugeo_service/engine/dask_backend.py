@@ -36,6 +36,8 @@ from pugeo_service.engine.heartbeats import HeartbeatWatch
 from pugeo_service.engine.model_plugin import ModelPlugin
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.worker import VERSION_METRIC, run_stage
+from pugeo_service.engine.worker_use import worker_name, worker_uses
+from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.settings import Settings
 
 __all__ = ["DaskBackend"]
@@ -78,6 +80,7 @@ class DaskBackend:
         self.retried_patches = 0
         # Weights that workers do not have by themselves.
         self._weights: dict[str, Weights] = {}
+        self.uses: tuple[WorkerUse, ...] = ()
         # Distinguishes the tasks of this front from those of others at the same scheduler.
         self._name = secrets.token_hex(6)
 
@@ -274,7 +277,7 @@ class DaskBackend:
                         self._workers = frozenset()
                     await looking
             except (OSError, EngineLostError) as error:
-                self._workers = frozenset()
+                self._workers, self.uses = frozenset(), ()
                 if self._cluster is None:
                     _log.warning("the scheduler is lost; it is tried again", reason=str(error))
                     await self._connect_again()
@@ -301,7 +304,7 @@ class DaskBackend:
             self._pids(),
         )
         workers = frozenset(
-            worker["id"] if isinstance(worker["id"], str) else address
+            worker_name(address, worker)
             for address, worker in identity["workers"].items()
             # Without such a core it would never be given work: see `worker.one_at_a_time`.
             if worker["status"] == "running" and CORE in worker["resources"]
@@ -311,6 +314,7 @@ class DaskBackend:
         self.worker_memory = min((limit for limit in limits if limit), default=None)
         self.lost_workers += len(self._workers - workers)
         self._workers = workers
+        self.uses = worker_uses(identity["workers"])
         if self._cluster is not None:
             self._end_hanging(hanging)
             self._replace_nannies()

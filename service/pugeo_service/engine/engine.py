@@ -32,6 +32,7 @@ from pugeo_service.engine.messages import (
 from pugeo_service.engine.orchestrator import Orchestrator
 from pugeo_service.engine.scheduling import SchedulingPolicy
 from pugeo_service.engine.self_test import self_test_body, self_test_request
+from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.settings import Settings
 
 __all__ = ["Engine", "Status"]
@@ -50,12 +51,14 @@ class Status:
         expected: configured number of workers, or ``None`` for an external cluster.
         lost: workers that ended unexpectedly; one that comes and goes between two polls is missed.
         retried: patches run again because a worker was lost.
+        uses: memory and processor time of each worker.
     """
 
     workers: int
     expected: int | None
     lost: int
     retried: int
+    uses: tuple[WorkerUse, ...] = ()
 
 
 class Engine:
@@ -142,7 +145,7 @@ class Engine:
         expected = self._settings.worker_count if self._settings.scheduler is None else None
         warm = self._backend.warm_workers if self._proven else 0
         retried = self._backend.retried_patches + self._retried
-        return Status(warm, expected, self._backend.lost_workers, retried)
+        return Status(warm, expected, self._backend.lost_workers, retried, self._backend.uses)
 
     async def run(
         self,

@@ -11,6 +11,7 @@ from pugeo_service.engine import model_store
 from pugeo_service.engine.backend import Handle
 from pugeo_service.engine.errors import EngineLostError
 from pugeo_service.engine.worker import warm
+from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.settings import Settings
 
 __all__ = ["InlineBackend"]
@@ -28,6 +29,7 @@ class InlineBackend:
     lost_workers = 0
     worker_memory: int | None = None
     retried_patches = 0
+    uses: tuple[WorkerUse, ...] = ()
 
     def __init__(self, settings: Settings) -> None:
         self._model = settings.model

@@ -9,17 +9,35 @@ from prometheus_client import (
     Counter,
     Gauge,
     Histogram,
+    ProcessCollector,
     disable_created_metrics,
 )
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-__all__ = ["Readings", "Telemetry"]
+__all__ = ["Readings", "Telemetry", "WorkerUse"]
 
 # Creation times of counters would double the page.
 disable_created_metrics()  # type: ignore[no-untyped-call]
 _SECONDS = (0.005, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120, 300, 600)
 _PATCHES = (1, 2, 4, 8, 16, 32, 64)
+
+
+@dataclass(frozen=True, order=True)
+class WorkerUse:
+    """Use of one worker process, as it last reported it.
+
+    Attributes:
+        name: name or address of the worker.
+        memory: resident bytes.
+        memory_limit: bytes that it may use; 0 if they are unlimited.
+        cores: mean number of busy cores.
+    """
+
+    name: str
+    memory: int
+    memory_limit: int
+    cores: float
 
 
 @dataclass(frozen=True)
@@ -38,6 +56,7 @@ class Readings:
         jobs_running: running jobs.
         jobs_bytes: bytes of inputs and results of jobs.
         models: ``name``, ``version`` and ``sha256`` of each model.
+        uses: use of each worker.
     """
 
     queue_patches: int
@@ -51,6 +70,7 @@ class Readings:
     jobs_running: int = 0
     jobs_bytes: int = 0
     models: Sequence[dict[str, str]] = ()
+    uses: tuple[WorkerUse, ...] = ()
 
 
 class Telemetry:
@@ -133,6 +153,8 @@ class Telemetry:
         )
         build.labels(version=version).set(1)
         registry.register(_Read(read))
+        # Memory, processor time and descriptors of this process.
+        ProcessCollector(registry=registry)
 
 
 class _Read(Collector):
@@ -169,6 +191,20 @@ class _Read(Collector):
         workers.add_metric(["warm"], now.workers_warm)
         workers.add_metric(["missing"], now.workers_missing)
         yield workers
+        memory = GaugeMetricFamily(
+            "pugeo_worker_memory_bytes", "Resident memory of a worker.", labels=["worker"]
+        )
+        limit = GaugeMetricFamily(
+            "pugeo_worker_memory_limit_bytes", "Memory that a worker may use.", labels=["worker"]
+        )
+        cores = GaugeMetricFamily(
+            "pugeo_worker_cpu_cores", "Cores that a worker keeps busy.", labels=["worker"]
+        )
+        for use in now.uses:
+            memory.add_metric([use.name], use.memory)
+            limit.add_metric([use.name], use.memory_limit)
+            cores.add_metric([use.name], use.cores)
+        yield from (memory, limit, cores)
         restarts = CounterMetricFamily(
             "pugeo_worker_restarts", "Workers that ended unexpectedly.", labels=["reason"]
         )

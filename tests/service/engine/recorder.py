@@ -24,6 +24,7 @@ from pugeo_service.engine.messages import (
 from pugeo_service.engine.orchestrator import Orchestrator
 from pugeo_service.engine.scheduling import SchedulingPolicy
 from pugeo_service.engine.self_test import self_test_request
+from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.storage.shared_file import SharedFile
 
 __all__ = ["REQUEST", "Handle", "Recorder", "run"]
@@ -60,6 +61,7 @@ class Recorder:
     lost_workers = 0
     worker_memory: int | None = None
     retried_patches = 0
+    uses: tuple[WorkerUse, ...] = ()
 
     async def start(self) -> None:
         """Do nothing."""

@@ -117,6 +117,19 @@ def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
     play(scenario, workers=1)
 
 
+def test_each_worker_tells_its_memory(play: Play) -> None:
+    """A worker process reports resident bytes below its limit, and the cores that it uses."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        await until(lambda: len(backend.uses) == 1)
+        (use,) = backend.uses
+        assert use.name in backend.worker_names
+        assert 10_000_000 < use.memory < use.memory_limit
+        assert 0.0 <= use.cores < 64.0
+
+    play(scenario, workers=1)
+
+
 def test_a_task_that_hangs_ends_its_worker(play: Play, tmp_path: Path) -> None:
     """After its time limit the worker process ends itself and is replaced."""
 

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docker-compose.yml and the image's Dockerfile agree with the service."""
+
+import json
+import os
+import re
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pugeo_service.settings import Settings, unknown_names
+
+
+@pytest.fixture
+def services(root: Path) -> dict[str, Any]:
+    """The services of docker-compose.yml by name."""
+    loaded: dict[str, Any] = yaml.safe_load((root / "docker-compose.yml").read_text("utf-8"))
+    found: dict[str, Any] = loaded["services"]
+    return found
+
+
+def test_containers_set_what_the_service_knows(root: Path, services: dict[str, Any]) -> None:
+    """Every PUGEO_ variable that reaches a container of ours is a setting of the service."""
+    known = {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
+    used = set(re.findall(r"(PUGEO_\w+)=\S", (root / "Dockerfile").read_text("utf-8")))
+    for service in services.values():
+        if service["image"].startswith("pugeo"):
+            used |= {name for name in service.get("environment", {}) if name.startswith("PUGEO_")}
+    assert len(used) > 5
+    assert used <= known
+
+
+def test_no_variable_of_compose_is_taken_for_a_mistake(root: Path) -> None:
+    """Who exports the variables of .env.example gets no warning of an unknown setting."""
+    text = (root / ".env.example").read_text("utf-8")
+    assert unknown_names(re.findall(r"^#?(\w+)=", text, re.MULTILINE)) == {}
+
+
+def test_the_example_environment_is_complete(root: Path) -> None:
+    """.env.example lists exactly the variables of docker-compose.yml, with their defaults."""
+    text = (root / "docker-compose.yml").read_text("utf-8")
+    asked = dict(re.findall(r"\$\{(\w+):-([^}]*)\}", text))
+    shown = dict(re.findall(r"^(\w+)=(.*)$", (root / ".env.example").read_text(), re.MULTILINE))
+    assert shown == asked
+
+
+def test_containers_are_locked_down(services: dict[str, Any]) -> None:
+    """Containers have no capability but those that are named, and are published to this host."""
+    granted = {"proxy": 1, "postgres": 5}
+    for name, service in services.items():
+        assert service["cap_drop"] == ["ALL"], name
+        assert len(service.get("cap_add", ())) == granted.get(name, 0), name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+        assert all("127.0.0.1" in port for port in service.get("ports", [])), name
+        if str(service["image"]).startswith("pugeo"):
+            assert service["read_only"] is True, name
+            assert service["init"] is True, name
+
+
+def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None:
+    """Secrets are passed on without a default, because an empty value is refused."""
+    secret = ("PUGEO_API_KEYS", "PUGEO_DATABASE_URL", "PUGEO_CORS_ORIGINS")
+    for front in ("api", "front"):
+        for name in (*secret, "OTEL_EXPORTER_OTLP_ENDPOINT"):
+            assert services[front]["environment"][name] is None
+
+
+def test_profiles_start_what_they_need(services: dict[str, Any]) -> None:
+    """What a service waits for is started with it, or may be missing."""
+    for name, service in services.items():
+        profiles = set(service.get("profiles", ()))
+        needs = service.get("depends_on", {})
+        for other in needs:
+            optional = isinstance(needs, dict) and needs[other].get("required") is False
+            theirs = set(services[other].get("profiles", ()))
+            assert optional or not theirs or profiles <= theirs, (name, other)
+
+
+def test_fronts_share_the_folder_of_their_jobs(services: dict[str, Any]) -> None:
+    """Each front sees the same folder and the same database, which jobs need."""
+    assert "front-jobs:/var/lib/pugeo" in services["front"]["volumes"]
+    assert services["front"]["deploy"]["replicas"] == "${PUGEO_FRONTS:-1}"
+
+
+def test_the_health_check_of_the_image(root: Path) -> None:
+    """The command that the image runs succeeds where the port answers 200, and only there."""
+    text = (root / "Dockerfile").read_text("utf-8").replace("\\\n", " ")
+    found = re.search(r"^HEALTHCHECK .*? CMD (\[.*\])$", text, re.MULTILINE)
+    assert found is not None
+    command = [sys.executable, *json.loads(found[1])[1:]]
+    asked = []
+
+    class Live(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_response(200 if len(asked) == 1 else 503)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Live) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        environment = os.environ | {"PUGEO_PORT": str(server.server_port)}
+        codes = [
+            subprocess.run(command, env=environment, check=False, capture_output=True).returncode
+            for _ in range(2)
+        ]
+        server.shutdown()
+        thread.join()
+    assert (codes, asked) == ([0, 1], ["/health/live"] * 2)
+
+
+def test_the_certificates_are_good_for_both_ends(root: Path, tmp_path: Path) -> None:
+    """Two ends that hold the folder's files trust each other over TLS, and nobody else's."""
+    for folder in ("ours", "theirs"):
+        command = [sys.executable, str(root / "deploy/make_certs.py"), str(tmp_path / folder)]
+        subprocess.run(command, check=True)
+    assert (tmp_path / "ours/key.pem").stat().st_mode & 0o077 == 0
+
+    def context(folder: str, side: int) -> ssl.SSLContext:
+        made = ssl.SSLContext(side)
+        made.check_hostname = False
+        made.verify_mode = ssl.CERT_REQUIRED
+        made.load_verify_locations(tmp_path / folder / "ca.pem")
+        made.load_cert_chain(tmp_path / folder / "cert.pem", tmp_path / folder / "key.pem")
+        return made
+
+    def meet(folder: str) -> bytes:
+        near, far = socket.socketpair()
+        client = context(folder, ssl.PROTOCOL_TLS_CLIENT)
+
+        def greet() -> None:
+            try:
+                with client.wrap_socket(near) as wrapped:
+                    wrapped.sendall(b"hello")
+            except ssl.SSLError:
+                near.close()
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        try:
+            with context("ours", ssl.PROTOCOL_TLS_SERVER).wrap_socket(far, True) as wrapped:
+                return wrapped.recv(5)
+        finally:
+            thread.join()
+
+    assert meet("ours") == b"hello"
+    with pytest.raises(ssl.SSLError):
+        meet("theirs")
