@@ -122,6 +122,14 @@ def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManag
     return partial(launched, tmp_path / "server.log")
 
 
+@pytest.fixture(scope="module")
+def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service of threads, with the limits that are the default."""
+    with launched(tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline") as running:
+        running.wait_until_ready()
+        yield running
+
+
 @pytest.fixture(scope="session")
 def server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """The service that most tests share; its limit of a body is 32 MiB."""
