@@ -26,7 +26,7 @@ from pugeo_model.upsampler import Upsampler
 
 __all__ = ["Ratios", "main"]
 
-_ROUNDS = 3
+_ROUNDS = 2
 _PRODUCTS_S = 0.2
 _UNITS = 4.0  # times the float32 rate: vector instructions make it twice, matrix units 8 times
 _SMALL, _LARGE = (4_000, 4), (16_000, 4)  # points, output points an input point

@@ -125,7 +125,9 @@ def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManag
 @pytest.fixture(scope="module")
 def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service of threads, with the limits that are the default."""
-    with launched(tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline") as running:
+    with launched(
+        tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline"
+    ) as running:
         running.wait_until_ready()
         yield running
 
