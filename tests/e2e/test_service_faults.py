@@ -148,7 +148,7 @@ def test_probes_answer_under_load(server: Server) -> None:
     text = b'{"points": ' + np.array2string(rows[:0]).encode().replace(b"[]", b"") + b"["
     text += b",".join(b"[%.17f,%.17f,%.17f]" % tuple(row) for row in rows) + b"]}"
     probes = 0
-    with running(server, LARGE), httpx2.Client() as client:
+    with running(server, LARGE), httpx2.Client(timeout=60) as client:
         client.get(f"{server.url}/health/live")
         # It is parsed on a worker and then refused because of its ratio.
         parsed = Call(server, text, "?n_points=1")
