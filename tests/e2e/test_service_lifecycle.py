@@ -116,7 +116,11 @@ def test_full_and_late(launch: Any) -> None:
         assert server.metric('pugeo_cancelled_total{reason="deadline"}') == 1
         assert server.metric('pugeo_rejected_total{reason="queue_full"}') == 1
         assert server.metric("pugeo_queue_patches") == 0
-        good = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+        # On a busy machine even a small request may take longer than the deadline.
+        for _ in range(20):
+            good = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+            if good.status_code != 504:
+                break
         assert good.status_code == 200
 
 
