@@ -13,6 +13,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install -qq --constraint constraints.txt
 # Two processes, file by file in the order of tests/conftest.py; ARGS="-n 0" has one, to debug.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
+# Hundreds of processes start in the tests; without its cache each would compile every module.
+export PYTHONDONTWRITEBYTECODE :=
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a million points cost each process, and how many workers a front and a scheduler feed.
+"""Costs of a million points in each process, and of workers that a front and a scheduler feed.
 
 ``python -m benchmarks.capacity [--workers 1 2 4] [--model fast]`` starts a cluster of a scheduler,
 workers and a front on this machine and sends it two loads: several clients with clouds of one task
@@ -45,7 +45,7 @@ _MILLION = 1e6
 
 @dataclass(frozen=True)
 class Cost:
-    """What one process, or all of one kind, spent.
+    """Expenses of one process, or of all of one kind.
 
     Attributes:
         seconds: of the processor.
@@ -92,7 +92,7 @@ class Cluster:
     pids: dict[str, list[int]]
 
     def costs(self) -> dict[str, Cost]:
-        """What each kind has spent since its start."""
+        """Return the expenses of each kind since its start."""
         own = psutil.Process()
         found = {kind: _cost([p for pid in pids for p in family(pid)])
                  for kind, pids in self.pids.items()}  # fmt: skip

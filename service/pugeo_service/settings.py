@@ -16,8 +16,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
-from sqlalchemy import make_url
-from sqlalchemy.exc import ArgumentError
 
 from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
@@ -256,6 +254,10 @@ class Settings(BaseSettings):
         wanted = "must be postgresql://user:password@host/name or sqlite:///path"
         if not value.startswith(("postgresql://", "sqlite:///")):
             raise ValueError(wanted)
+        # Imported here: each worker loads this module, and none has a database.
+        from sqlalchemy import make_url
+        from sqlalchemy.exc import ArgumentError
+
         try:
             url = make_url(value)
         except (ArgumentError, ValueError):

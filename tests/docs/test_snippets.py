@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every snippet of the documentation runs, and gives the output that the page shows."""
+"""Every snippet of the documentation runs, and gives the output that the page shows.
+
+A line that is `pugeo` with plain words runs in this process, which has loaded the network; all
+others run in bash. In README.md all run in bash, as at a reader's terminal.
+"""
 
 import contextlib
 import importlib.util
 import io
+import itertools
 import json
 import os
 import re
@@ -21,6 +26,8 @@ import yaml
 from tests.docs.samples import FILES
 from tests.docs.snippets import RUN, SHOWN, Snippet, pages, snippets
 
+from pugeo_model.cli import main
+
 Serve = Callable[..., str]
 ROOT = Path(__file__).resolve().parents[2]
 RUNNABLE = [page for page in pages(ROOT) if any(s.language in RUN for s in snippets(page, ROOT))]
@@ -28,6 +35,8 @@ RUNNABLE = [page for page in pages(ROOT) if any(s.language in RUN for s in snipp
 LOOKED_UP = re.compile(r"(make|docker|helm|kubectl|pip install|\. \.venv/bin/activate)\b")
 # Lines of progress, which a busy machine has more of.
 PROGRESS = re.compile(r"^[\w ]+: \d+%(, about \d+ \w+ left)?\n", re.MULTILINE)
+# `pugeo` with words that mean the same to bash and to `shlex.split`.
+PLAIN = re.compile(r"pugeo(?: +(?:[\w./,:=-]+|'[^']*'))+")
 # curl is silent about an error's status unless told otherwise.
 PRELUDE = 'set -euo pipefail; curl() { command curl --fail-with-body "$@"; }\n'
 
@@ -39,9 +48,11 @@ class Page:
         folder: empty; the snippets run in it.
         address: of the service.
         serve: starts another one.
+        in_bash: run `pugeo` in bash in any case.
     """
 
-    def __init__(self, folder: Path, address: str, serve: Serve) -> None:
+    def __init__(self, folder: Path, address: str, serve: Serve, *, in_bash: bool) -> None:
+        self.in_bash = in_bash
         self.folder = folder
         self.serve = serve
         self.address = address
@@ -82,8 +93,12 @@ class Page:
                 self.address = self.serve(*options, folder=self.folder)
                 self.environment["PUGEO_URL"] = self.address
             return ""
+        plain = [] if self.in_bash else list(itertools.takewhile(PLAIN.fullmatch, commands))
+        printed = "".join(self._here(command, snippet) for command in plain)
+        if len(plain) == len(commands):
+            return printed
         done = subprocess.run(
-            ["bash", "-c", PRELUDE + code],
+            ["bash", "-c", PRELUDE + ("\n".join(commands[len(plain) :]) if plain else code)],
             cwd=self.folder, env=self.environment, text=True, check=False,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
@@ -91,7 +106,23 @@ class Page:
         key = re.search(r"The key, which is shown only once: (\S+)", done.stdout)
         if key:
             self.environment["PUGEO_API_KEY"] = key[1]
-        return PROGRESS.sub("", done.stdout)
+        return printed + PROGRESS.sub("", done.stdout)
+
+    def _here(self, command: str, snippet: Snippet) -> str:
+        """Run the command line in this process; returns what it prints on stdout and stderr."""
+        printed = io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", shlex.split(command))
+            patch.setattr(sys, "stdout", printed)
+            patch.setattr(sys, "stderr", printed)
+            for name, value in self.environment.items():
+                patch.setenv(name, value)
+            with pytest.raises(SystemExit) as ended:
+                main()
+        printed.seek(0)
+        text = printed.read()
+        assert bool(ended.value.code) == snippet.fails, f"{snippet.place}:\n{text}"
+        return PROGRESS.sub("", text)
 
 
 def logical_lines(code: str) -> list[str]:
@@ -183,7 +214,7 @@ def test_snippets_run(
     for name, make in FILES.items():
         if re.search(rf"(?<![\w-]){re.escape(name)}\b", text):
             make(folder / name)
-    shared = Page(folder, service, serve)
+    shared = Page(folder, service, serve, in_bash=page.name == "README.md")
     monkeypatch.setenv("PUGEO_URL", service)
     missing = set()
     for snippet in snippets(page, ROOT):

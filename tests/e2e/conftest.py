@@ -46,7 +46,7 @@ class Server:
         """Wait until /health/ready answers 200."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self.process.poll() is None:
-            if httpx2.get(f"{self.url}/health/ready").status_code == 200:
+            if httpx2.get(f"{self.url}/health/ready", timeout=60).status_code == 200:
                 return
             time.sleep(0.1)
         pytest.fail(f"not ready after {seconds:g} s:\n{self.log.read_text()[-4000:]}")
@@ -61,7 +61,7 @@ class Server:
 
     def metric(self, sample: str) -> float:
         """Value of a sample of /metrics, 0 if it does not exist yet."""
-        for line in httpx2.get(f"{self.url}/metrics").text.splitlines():
+        for line in httpx2.get(f"{self.url}/metrics", timeout=60).text.splitlines():
             name, _, value = line.rpartition(" ")
             if name == sample:
                 return float(value)
@@ -120,6 +120,16 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
 def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
     """Starts a separate service: ``with launch("--workers", "1") as server``."""
     return partial(launched, tmp_path / "server.log")
+
+
+@pytest.fixture(scope="module")
+def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service of threads, with the limits that are the default."""
+    with launched(
+        tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline"
+    ) as running:
+        running.wait_until_ready()
+        yield running
 
 
 @pytest.fixture(scope="session")

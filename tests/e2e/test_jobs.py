@@ -49,9 +49,9 @@ def ball(count: int) -> bytes:
 
 SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(100_000)
 # One worker has patches of it to compute for seconds.
-HALF = ball(30_000)
+HALF = ball(16_000)
 # It takes more than a second on any machine; progress is stored every half second.
-LONG = ball(40_000)
+LONG = ball(20_000)
 
 
 def eventually(check: Callable[[], bool], seconds: float = 300.0) -> None:
@@ -131,7 +131,7 @@ def test_killed_at_any_moment(
             assert len(ids[name]) == 1
             expected = httpx2.post(f"{server.url}/upsample{query}", content=body, timeout=60)
             assert finish(last, next(iter(ids[name]))) == expected.content
-        assert len(httpx2.get(f"{last.url}/jobs").json()["jobs"]) == len(clouds)
+        assert len(httpx2.get(f"{last.url}/jobs", timeout=60).json()["jobs"]) == len(clouds)
         eventually(lambda: not list((tmp_path / "jobs" / "inputs").iterdir()))
         assert list((tmp_path / "jobs" / "parts").iterdir()) == []
         assert last.stop() == 0
@@ -154,8 +154,8 @@ def test_a_drain_queues_jobs_again_and_ends_streams(launch: Any, tmp_path: Path)
     with launch("--workers", "1", PUGEO_JOBS_DIR=folder) as other:
         other.wait_until_ready()
         dense = formats.read(io.BytesIO(finish(other, job_id)), format="ply")
-        assert len(dense.points) == 60_000
-        job = httpx2.get(f"{other.url}/jobs/{job_id}").json()
+        assert len(dense.points) == 32_000
+        job = httpx2.get(f"{other.url}/jobs/{job_id}", timeout=60).json()
         assert job["attempts"] == 1
 
 
@@ -174,19 +174,21 @@ def test_events_and_ranges(server: Server) -> None:
     assert "progress" in names
     assert names[-1] == "end"
     assert last["state"] == "succeeded"
-    assert last["report"]["points_out"] == 160_000
+    assert last["report"]["points_out"] == 80_000
     url = f"{server.url}/jobs/{job_id}/result"
-    whole = httpx2.get(url)
+    whole = httpx2.get(url, timeout=60)
     etag = whole.headers["etag"]
     assert etag == f'"{hashlib.sha256(whole.content).hexdigest()}"'
     parts = [
-        httpx2.get(url, headers={"Range": f"bytes={start}-{start + 999_999}", "If-Range": etag})
-        for start in range(0, len(whole.content), 1_000_000)
+        httpx2.get(
+            url, headers={"Range": f"bytes={start}-{start + 499_999}", "If-Range": etag}, timeout=60
+        )
+        for start in range(0, len(whole.content), 500_000)
     ]
     assert {part.status_code for part in parts} == {206}
     assert b"".join(part.content for part in parts) == whole.content
-    assert httpx2.get(url, headers={"If-None-Match": etag}).status_code == 304
-    outside = httpx2.get(url, headers={"Range": f"bytes={len(whole.content)}-"})
+    assert httpx2.get(url, headers={"If-None-Match": etag}, timeout=60).status_code == 304
+    outside = httpx2.get(url, headers={"Range": f"bytes={len(whole.content)}-"}, timeout=60)
     assert outside.status_code == 416
 
 
@@ -196,7 +198,7 @@ def test_a_cancelled_job_frees_its_patches(server: Server) -> None:
         answer = httpx2.delete(f"{server.url}/jobs/{job_id}", timeout=30)
         assert answer.json()["state"] == "cancelled"
         eventually(lambda: server.metric("pugeo_queue_patches") == 0)
-        gone = httpx2.get(f"{server.url}/jobs/{job_id}/result")
+        gone = httpx2.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
         assert (gone.status_code, gone.json()["code"]) == (410, "job_cancelled")
 
 

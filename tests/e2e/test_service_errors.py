@@ -158,7 +158,7 @@ def test_too_large_without_saying_so(server: Server) -> None:
         pass
     else:
         check_problem(response, 413)
-    assert httpx2.get(f"{server.url}/health/live").status_code == 200
+    assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -173,12 +173,12 @@ def test_too_large_without_saying_so(server: Server) -> None:
 )
 def test_routes(server: Server, method: str, path: str, status: int) -> None:
     """Wrong paths and methods are problems too."""
-    check_problem(httpx2.request(method, server.url + path), status)
+    check_problem(httpx2.request(method, server.url + path, timeout=60), status)
 
 
 def test_unknown_options_are_named(server: Server) -> None:
     """The error for an unknown option lists all options."""
-    response = httpx2.post(f"{server.url}/upsample?ratio=4", content=ply(GOOD))
+    response = httpx2.post(f"{server.url}/upsample?ratio=4", content=ply(GOOD), timeout=60)
     found = check_problem(response, 422)
     assert found["parameter"] == "ratio"
     assert "n_points" in found["allowed"]

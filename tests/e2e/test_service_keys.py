@@ -30,7 +30,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(80_000)
+SMALL, LARGE = ball(3000), ball(40_000)
 
 
 def bearer(name: str) -> dict[str, str]:
@@ -51,7 +51,7 @@ def metrics_of(log: Path) -> str:
     for line in log.read_text().splitlines():
         entry = json.loads(line)
         if entry["event"] == "metrics":
-            return httpx2.get(f"http://127.0.0.1:{entry['port']}/metrics").text
+            return httpx2.get(f"http://127.0.0.1:{entry['port']}/metrics", timeout=60).text
     pytest.fail("the log has no port of metrics")
 
 
@@ -59,13 +59,16 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
     """Shares of owners, rotation of keys, and refusal of deadlines that cannot be met."""
     path = tmp_path / "keys"
     write_keys(path, "ann")
-    options = ["--engine", "inline", "--queue-patches", "60", "--metrics-port", "0"]
+    options = ["--engine", "inline", "--queue-patches", "30", "--metrics-port", "0"]
     options += ["--api-keys-file", str(path)]
     with launch(*options) as server:
         server.wait_until_ready()
         url = f"{server.url}/upsample?R=2"
-        assert httpx2.post(url, content=SMALL).status_code == 401
-        assert httpx2.get(f"{server.url}/metrics", headers=bearer("ann")).status_code == 404
+        assert httpx2.post(url, content=SMALL, timeout=60).status_code == 401
+        assert (
+            httpx2.get(f"{server.url}/metrics", headers=bearer("ann"), timeout=60).status_code
+            == 404
+        )
         assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
 
         # The large cloud of one owner takes more than half of the queue; another one is served.
@@ -80,7 +83,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         while "pugeo_queue_patches 0.0" in metrics_of(server.log):
             time.sleep(0.02)
         write_keys(path, "ann", "bob")
-        refused = httpx2.post(url, content=ball(20_000), headers=bearer("ann"))
+        refused = httpx2.post(url, content=ball(10_000), headers=bearer("ann"), timeout=60)
         assert (refused.status_code, refused.json()["code"]) == (429, "share_exceeded")
         assert refused.json()["retryable"] is True
         assert int(refused.headers["retry-after"]) >= 1
@@ -107,8 +110,10 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         with Client(server.url, api_key="bobbob") as bob, pytest.raises(errors.UnauthorizedError):
             bob.upsample(SMALL)
         path.unlink()
-        assert httpx2.get(f"{server.url}/models", headers=bearer("ann")).status_code == 401
-        assert httpx2.get(f"{server.url}/health/live").status_code == 200
+        assert (
+            httpx2.get(f"{server.url}/models", headers=bearer("ann"), timeout=60).status_code == 401
+        )
+        assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
         assert server.stop() == 0
         log = server.log.read_text()
         assert '"owner": "bob"' in log

@@ -157,7 +157,7 @@ def test_headers(server: Server, cloud: Cloud) -> None:
         content=encode(Cloud(points.astype(np.float32)), "ply"),
         headers={"X-Request-ID": "my-request"},
     )
-    card = httpx2.get(f"{server.url}/models").json()["models"][0]
+    card = httpx2.get(f"{server.url}/models", timeout=60).json()["models"][0]
     headers = response.headers
     assert headers["x-request-id"] == "my-request"
     assert headers["pugeo-model-version"] == card["version"]

@@ -17,6 +17,9 @@ __all__ = ["bfloat16_pays", "wide_products"]
 
 _ROWS, _WIDTH = 2048, 160  # size of a typical layer: points of a patch, channels
 _TRIES = 15
+_FEWEST = 3
+# Emulated products take 10 to 30 ms each, and every process would spend half a second on them.
+_ENOUGH_S = 0.03
 # Emulated bfloat16 takes several times as long as float32, native bfloat16 less than half. A limit
 # between the two makes the decision, and so the results, independent of noise in the measurement.
 _SLOW = 1.5
@@ -31,7 +34,7 @@ def wide_products() -> Any:
 
 @functools.cache
 def bfloat16_pays() -> bool:
-    """Return whether bfloat16 is native on this processor, from a measurement of about 10 ms."""
+    """Return whether bfloat16 is native on this processor, from a measurement of some 10 ms."""
     threads = torch.get_num_threads()
     # With one thread the processor time can be measured, which other processes do not increase.
     torch.set_num_threads(1)
@@ -43,12 +46,12 @@ def bfloat16_pays() -> bool:
 
 
 def _seconds(kind: torch.dtype) -> float:
-    """Shortest processor time of the product of a layer in several tries."""
+    """Shortest processor time of the product of a layer: in 3 tries, or more if they are quick."""
     rows = torch.ones(_ROWS, _WIDTH, dtype=kind)
     weight = torch.ones(_WIDTH, _WIDTH, dtype=kind)
-    best = float("inf")
-    for _ in range(_TRIES):
+    times: list[float] = []
+    while len(times) < _TRIES and (len(times) < _FEWEST or sum(times) < _ENOUGH_S):
         start = time.thread_time()
         torch.nn.functional.linear(rows, weight)
-        best = min(best, time.thread_time() - start)
-    return best
+        times.append(time.thread_time() - start)
+    return min(times)

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The command as installed, in a process of its own where that is what is tested."""
+
 import subprocess
 import sys
 from pathlib import Path
@@ -26,29 +28,31 @@ def ball(tmp_path):
     return tmp_path / "ball.ply"
 
 
-def test_upsample_writes_by_suffix(ball, tmp_path):
+def test_upsample_writes_by_suffix(ball, tmp_path, pugeo):
     """The suffix of the output is its format; counts and dropped points are printed."""
+    done = run("upsample", ball, "-R", "3", "-o", tmp_path / "dense.ply")
+    here = pugeo("upsample", ball, "-R", "3", "-o", tmp_path / "dense.npz")
+    for status, printed in ((done.returncode, done.stderr), (here.status, here.stderr)):
+        assert status == 0, printed
+        assert "1,500 points" in printed
+        assert "1 duplicate" in printed
     for name in ("dense.ply", "dense.npz"):
-        done = run("upsample", ball, "-R", "3", "-o", tmp_path / name)
-        assert done.returncode == 0, done.stderr
-        assert "1,500 points" in done.stderr
-        assert "1 duplicate" in done.stderr
         dense = read(tmp_path / name)
         assert len(dense) == 1500
         assert dense.normals is not None
 
 
-def test_a_format_without_room_for_normals(ball, tmp_path):
+def test_a_format_without_room_for_normals(ball, tmp_path, pugeo):
     """Attributes that the output format cannot hold are named in a note."""
-    done = run("upsample", ball, "-R", "2", "-o", tmp_path / "dense.ptx")
-    assert done.returncode == 0, done.stderr
+    done = pugeo("upsample", ball, "-R", "2", "-o", tmp_path / "dense.ptx")
+    assert done.status == 0, done.stderr
     assert "no room for it: normals" in " ".join(done.stderr.split())
 
 
-def test_a_format_that_is_only_read(ball, tmp_path):
+def test_a_format_that_is_only_read(ball, tmp_path, pugeo):
     """An output format that cannot be written is refused, with those that can be."""
-    done = run("upsample", ball, "-o", tmp_path / "dense.obj")
-    assert done.returncode == 2
+    done = pugeo("upsample", ball, "-o", tmp_path / "dense.obj")
+    assert done.status == 2
     assert "ply" in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -62,24 +66,34 @@ def test_a_format_that_is_only_read(ball, tmp_path):
         (["--model", "huge"], "no weights"),
     ],
 )
-def test_bad_options_are_one_line(ball, tmp_path, args, words):
+def test_bad_options_are_one_line(ball, tmp_path, pugeo, args, words):
     """A bad option gives a message and exit status 2, and leaves no file."""
-    done = run("upsample", ball, "-o", tmp_path / "dense.ply", *args)
-    assert done.returncode == 2
+    done = pugeo("upsample", ball, "-o", tmp_path / "dense.ply", *args)
+    assert done.status == 2
     assert words in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "dense.ply").exists()
 
 
-def test_bad_files_are_one_line(tmp_path):
+def test_bad_files_are_one_line(tmp_path, pugeo):
     """Missing, empty and truncated files give a message, not a traceback."""
     (tmp_path / "empty.ply").write_bytes(b"")
     header = b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n"
     (tmp_path / "cut.ply").write_bytes(header + b"property float y\nproperty float z\nend_header\n")
     for name in ("missing.ply", "empty.ply", "cut.ply"):
-        done = run("upsample", tmp_path / name, "-o", tmp_path / "dense.ply")
-        assert done.returncode == 2, name
+        done = pugeo("upsample", tmp_path / name, "-o", tmp_path / "dense.ply")
+        assert done.status == 2, name
         assert "error:" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_a_bad_option_and_a_bad_file_of_the_installed_command(tmp_path):
+    """Each gives a message and exit status 2, not a traceback."""
+    (tmp_path / "empty.ply").write_bytes(b"")
+    for words in (["-R", "99"], []):
+        done = run("upsample", tmp_path / "empty.ply", "-o", tmp_path / "dense.ply", *words)
+        assert done.returncode == 2
+        assert ("from 1 to 32" if words else "error:") in " ".join(done.stderr.split())
         assert "Traceback" not in done.stderr
 
 

@@ -68,19 +68,6 @@ def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) ->
             in_background(backend.stop())
 
 
-def test_results_feed_tasks(play: Play) -> None:
-    """Handles and lists of handles are replaced by results, also after their release."""
-
-    async def scenario(backend: DaskBackend) -> None:
-        one = submit(backend, light.add, 1, 0)
-        two = submit(backend, light.add, one, [one, one])
-        three = submit(backend, light.add, two, np.float64(0.5))
-        backend.release([one, two])
-        assert await backend.fetch(three) == 3.5
-
-    play(scenario)
-
-
 def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
     """A task that ends two workers fails; workers and results of other tasks are restored."""
 
@@ -263,6 +250,19 @@ def test_a_stop_ends_no_workers_of_another_backend(play: Play, play_shared: Play
     play_shared(pid)
     shared, own, again = pids
     assert (again, psutil.pid_exists(own)) == (shared, False)
+
+
+def test_results_feed_tasks(play_shared: Play) -> None:
+    """Handles and lists of handles are replaced by results, also after their release."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        one = submit(backend, light.add, 1, 0)
+        two = submit(backend, light.add, one, [one, one])
+        three = submit(backend, light.add, two, np.float64(0.5))
+        backend.release([one, two])
+        assert await backend.fetch(three) == 3.5
+
+    play_shared(scenario)
 
 
 def test_errors_of_a_stage_arrive(play_shared: Play) -> None:
