@@ -19,6 +19,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
+from pugeo_service.memory_setting import check_memory
 
 __all__ = ["Settings", "explain", "unknown_names"]
 
@@ -27,10 +28,7 @@ _ORIGIN = re.compile(r"https?://[^/\s,*?#]+")
 _TEN_YEARS_S = 315_360_000
 # Finite: an infinite number of seconds reaches dates, timers and the database, which have none.
 Seconds = Annotated[float, Field(gt=0, le=_TEN_YEARS_S, allow_inf_nan=False)]
-_LEAST_WORKER_BYTES = 768 * MIB  # the model alone takes 600
 _ADDRESS = re.compile(r"tls://(\[[0-9a-fA-F:.]+\]|[^/:@\s]+):[0-9]{1,5}")
-_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)", re.IGNORECASE)
-_POWERS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
 # Names that the command line, the SDK and the files of docker compose read.
 _OTHER_NAMES = frozenset({
     "PUGEO_API_KEY", "PUGEO_BIND", "PUGEO_CACHE", "PUGEO_CERTIFICATES",
@@ -301,25 +299,7 @@ class Settings(BaseSettings):
     @field_validator("worker_memory")
     @classmethod
     def _memory(cls, value: str) -> str:
-        wanted = (
-            "must be auto, bytes such as 2GB (at least 768MiB), or a share of all memory above 0, "
-            "up to 1.0"
-        )
-        text = value.strip()
-        size = _SIZE.fullmatch(text)
-        if text == "auto":
-            return text
-        if size is None:
-            raise ValueError(wanted)
-        unit = size[2].lower()
-        if not unit and float(size[1]) <= 1:
-            allowed = float(size[1]) * _all_memory()
-        else:
-            base = 1024 if "i" in unit else 1000
-            allowed = float(size[1]) * base ** _POWERS[unit.rstrip("ib")]
-        if allowed < _LEAST_WORKER_BYTES:
-            raise ValueError(f"{wanted}; this is {int(allowed):,} bytes")
-        return text
+        return check_memory(value)
 
     @model_validator(mode="after")
     def _credentials(self) -> Self:
@@ -404,10 +384,3 @@ def unknown_names(environment: Iterable[str]) -> dict[str, str | None]:
             similar = difflib.get_close_matches(upper, known, 1)
             found[name] = similar[0] if similar else None
     return found
-
-
-def _all_memory() -> int:
-    """Return the bytes of memory that all processes together may use, as Dask counts them."""
-    from distributed.system import MEMORY_LIMIT
-
-    return MEMORY_LIMIT
