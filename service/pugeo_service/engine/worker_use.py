@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory and processor time of each worker, from the scheduler's record of it."""
+"""Memory and processor time of each worker, from the scheduler's record of it.
+
+Fronts tell them, so that workers need no port that answers without a certificate.
+"""
 
 from collections.abc import Mapping
 from typing import Any
