@@ -18,7 +18,7 @@ export PYTHONDONTWRITEBYTECODE :=
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page check-page test coverage test-long test-page test-postgres image serve lint format train bench docs digests openapi constraints clean
+.PHONY: help install demo page check-page test coverage test-long test-page test-postgres test-deploy image serve lint format train bench docs digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,6 +42,9 @@ test-long: $(VENV)/.installed-dev ## run the tests that take minutes, and many r
 
 test-postgres: $(VENV)/.installed-dev ## run the tests of jobs on a PostgreSQL server of their own
 	@PUGEO_TEST_POSTGRES=1 $(BIN)/python -m pytest -m postgres tests/service/jobs $(ARGS)
+
+test-deploy: $(VENV)/.installed-deploy ## run the tests of compose files, alerts, proxy and Helm chart
+	@$(BIN)/python -m pytest -m 'not long' tests/deploy $(ARGS)
 
 page: viewer/node_modules/.installed ## build the web page into the service (needs node)
 	@cd viewer && npx vite build
@@ -129,6 +132,11 @@ $(VENV)/.installed-torch: | $(BIN)/python
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)/.installed-torch
 	@echo "installing the service ..."
 	@$(INSTALL) --editable '.[demo]'
+	@touch $@
+
+$(VENV)/.installed-deploy: pyproject.toml constraints.txt | $(VENV)/.installed-dev
+	@echo "installing Helm's library, Kubernetes' schemas and the proxy ..."
+	@$(INSTALL) --editable '.[deploy]'
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/.installed-torch

@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import kubernetes_validate
 import pytest
 import yaml
 
 from pugeo_service.settings import Settings
 
-helm = pytest.importorskip("helm_python", reason="Helm's library has no wheel for this machine")
+helm = pytest.importorskip("helm_python", reason="make test-deploy installs Helm's library")
+kubernetes_validate = pytest.importorskip(
+    "kubernetes_validate", reason="make test-deploy installs the schemas"
+)
 
 OLDEST, NEWEST = "1.29", kubernetes_validate.latest_version()
 MODEL = "pugeo.example:5000/pugeo"

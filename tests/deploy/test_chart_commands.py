@@ -18,7 +18,7 @@ import yaml
 
 from pugeo_client import Client
 
-helm = pytest.importorskip("helm_python", reason="Helm's library has no wheel for this machine")
+helm = pytest.importorskip("helm_python", reason="make test-deploy installs Helm's library")
 
 START_S = 240.0
 

