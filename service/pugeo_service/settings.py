@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any, Literal, Self
 
+import fsspec
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from sqlalchemy import make_url
@@ -136,6 +137,10 @@ class Settings(BaseSettings):
     jobs_dir: Annotated[
         Path | None, Field(description="folder for files of jobs; put it on a durable disk")
     ] = None
+    jobs_store: Annotated[
+        str | None,
+        Field(description="s3://bucket/prefix or another URL of fsspec for inputs and results"),
+    ] = None
     database_url: Annotated[
         str | None, Field(description="postgresql://... for jobs instead of SQLite in jobs_dir")
     ] = None
@@ -202,6 +207,20 @@ class Settings(BaseSettings):
             raise ValueError(wanted) from None
         if url.get_backend_name() == "postgresql" and find_spec("pg8000") is None:
             raise ValueError("PostgreSQL needs: pip install 'pugeo[postgres]'")
+        return value
+
+    @field_validator("jobs_store")
+    @classmethod
+    def _store(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        protocol, separator, place = value.partition("://")
+        if not separator or not place:
+            raise ValueError("must be the URL of a folder, such as s3://bucket/prefix")
+        try:
+            fsspec.get_filesystem_class(protocol)
+        except (ImportError, ValueError) as error:
+            raise ValueError(f"{error}; for s3:// pip install 'pugeo[store]'") from None
         return value
 
     @field_validator("spool_dir", "jobs_dir", "tls_ca", "tls_cert", "tls_key", mode="before")
@@ -304,6 +323,11 @@ class Settings(BaseSettings):
         return self.database_url or f"sqlite:///{self.jobs_folder.absolute()}/jobs.sqlite3"
 
     @property
+    def fronts_share_no_folder(self) -> bool:
+        """Whether files and table of jobs are elsewhere, so that fronts need no common folder."""
+        return self.jobs_store is not None and self.database_url is not None
+
+    @property
     def worker_count(self) -> int:
         """Worker processes of the local cluster.
 
@@ -313,7 +337,7 @@ class Settings(BaseSettings):
 
 
 # Values that may contain a secret.
-_SECRET = frozenset({"api_keys", "database_url"})
+_SECRET = frozenset({"api_keys", "database_url", "jobs_store"})
 
 
 def explain(error: ValidationError) -> Iterator[str]:

@@ -54,3 +54,15 @@ def test_secrets_are_passed_on_and_never_empty(root: Path) -> None:
     for name in ("PUGEO_API_KEYS", "PUGEO_CORS_ORIGINS", "OTEL_EXPORTER_OTLP_ENDPOINT"):
         assert name in environment
         assert environment[name] is None
+
+
+def test_the_cluster_runs_our_commands(root: Path) -> None:
+    """Scheduler and workers are started by `pugeo`, over the certificates of the front."""
+    services = loaded(root / "docker-compose.yml")["services"]
+    assert services["scheduler"]["command"][:2] == ["pugeo", "scheduler"]
+    assert services["worker"]["command"] == ["pugeo", "worker"]
+    for name in ("scheduler", "worker", "front"):
+        environment = services[name]["environment"]
+        files = [environment[f"PUGEO_TLS_{part}"] for part in ("CA", "CERT", "KEY")]
+        assert files == [f"/certificates/{part}.pem" for part in ("ca", "cert", "key")]
+    assert services["worker"]["environment"]["PUGEO_SCHEDULER"] == "tls://scheduler:8786"
