@@ -285,7 +285,7 @@ class _Machines:
     async def _workers(self, front: str, count: int) -> bool:
         answer = await self._client.get(f"{self._url(front)}/health", timeout=2)
         told = answer.json()
-        return told["status"] == "ready" and told["workers"] == count
+        return bool(told["status"] == "ready" and told["workers"] == count)
 
     async def _ready(self, front: str, status: int) -> bool:
         answer = await self._client.get(f"{self._url(front)}/health/ready", timeout=2)

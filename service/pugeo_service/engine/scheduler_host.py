@@ -22,7 +22,7 @@ _TTL = "30s"
 _CLOSE_S = 10.0
 
 
-class VersionedScheduler(Scheduler):  # type: ignore[misc]
+class VersionedScheduler(Scheduler):
     """Dask's scheduler, in which the resources of a task bind whatever becomes of its worker.
 
     A task may name a worker and allow others. Once that worker is gone, Dask forgets the task's
