@@ -97,6 +97,7 @@ reliability-overload: $(VENV)/.installed-dev ## ten times the capacity for 2 min
 reliability-faults: $(VENV)/.installed-dev ## SIGKILL at 200 random moments (ARGS="--runs 20")
 reliability-fuzz: $(VENV)/.installed-dev ## a million broken files (ARGS="--replay 17")
 reliability-http: $(VENV)/.installed-dev ## broken HTTP, every route beyond its description
+reliability-machines: $(VENV)/.installed-dev ## six machines in network namespaces, cut off and killed (needs root)
 reliability-%:
 	@$(BIN)/python -m benchmarks.reliability $* $(ARGS)
 

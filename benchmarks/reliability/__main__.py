@@ -12,6 +12,7 @@ _HARNESSES = {
     "overload": "ten times what the service can do",
     "faults": "workers and the whole service killed at random moments",
     "fuzz": "a million broken files for the readers",
+    "machines": "three worker hosts, a scheduler and two fronts: cut off, killed, joining",
     "http": "broken HTTP of all kinds, and every route beyond its description",
 }
 

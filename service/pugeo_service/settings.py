@@ -9,7 +9,6 @@ import re
 import ssl
 import tempfile
 from collections.abc import Iterable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any, Literal, Self
@@ -20,6 +19,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
 from pugeo_service.memory_setting import check_memory
+from pugeo_service.url_settings import check_database, check_store
 
 __all__ = ["Settings", "explain", "unknown_names"]
 
@@ -148,6 +148,10 @@ class Settings(BaseSettings):
     jobs_dir: Annotated[
         Path | None, Field(description="folder for files of jobs; put it on a durable disk")
     ] = None
+    jobs_store: Annotated[
+        str | None,
+        Field(description="s3://bucket/prefix or another URL of fsspec for inputs and results"),
+    ] = None
     database_url: Annotated[
         str | None, Field(description="postgresql://... for jobs instead of SQLite in jobs_dir")
     ] = None
@@ -247,23 +251,12 @@ class Settings(BaseSettings):
     @field_validator("database_url")
     @classmethod
     def _database(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        wanted = "must be postgresql://user:password@host/name or sqlite:///path"
-        if not value.startswith(("postgresql://", "sqlite:///")):
-            raise ValueError(wanted)
-        # Imported here: each worker loads this module, and none has a database.
-        from sqlalchemy import make_url
-        from sqlalchemy.exc import ArgumentError
+        return None if value is None else check_database(value)
 
-        try:
-            url = make_url(value)
-        except (ArgumentError, ValueError):
-            # The error would quote a part of the address, which may be the password.
-            raise ValueError(wanted) from None
-        if url.get_backend_name() == "postgresql" and find_spec("pg8000") is None:
-            raise ValueError("PostgreSQL needs: pip install 'pugeo[postgres]'")
-        return value
+    @field_validator("jobs_store")
+    @classmethod
+    def _store(cls, value: str | None) -> str | None:
+        return None if value is None else check_store(value)
 
     @field_validator(
         "spool_dir", "jobs_dir", "models_dir", "tls_ca", "tls_cert", "tls_key", mode="before"
@@ -349,6 +342,11 @@ class Settings(BaseSettings):
         return self.database_url or f"sqlite:///{self.jobs_folder.absolute()}/jobs.sqlite3"
 
     @property
+    def fronts_share_no_folder(self) -> bool:
+        """Whether files and table of jobs are elsewhere, so that fronts need no common folder."""
+        return self.jobs_store is not None and self.database_url is not None
+
+    @property
     def worker_count(self) -> int:
         """Worker processes of the local cluster.
 
@@ -358,7 +356,7 @@ class Settings(BaseSettings):
 
 
 # Values that may contain a secret.
-_SECRET = frozenset({"api_keys", "database_url", "webhook_secret"})
+_SECRET = frozenset({"api_keys", "database_url", "jobs_store", "webhook_secret"})
 
 
 def explain(error: ValidationError) -> Iterator[str]:

@@ -157,3 +157,15 @@ def test_the_certificates_are_good_for_both_ends(root: Path, tmp_path: Path) -> 
     assert meet("ours") == b"hello"
     with pytest.raises(ssl.SSLError):
         meet("theirs")
+
+
+def test_the_cluster_runs_our_commands(root: Path) -> None:
+    """Scheduler and workers are started by `pugeo`, over the certificates of the front."""
+    services = services(root)
+    assert services["scheduler"]["command"][:2] == ["pugeo", "scheduler"]
+    assert services["worker"]["command"] == ["pugeo", "worker"]
+    for name in ("scheduler", "worker", "front"):
+        environment = services[name]["environment"]
+        files = [environment[f"PUGEO_TLS_{part}"] for part in ("CA", "CERT", "KEY")]
+        assert files == [f"/certificates/{part}.pem" for part in ("ca", "cert", "key")]
+    assert services["worker"]["environment"]["PUGEO_SCHEDULER"] == "tls://scheduler:8786"

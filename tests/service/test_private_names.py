@@ -88,7 +88,7 @@ def test_names_of_dask() -> None:
         assert f"{name}:" in states, name
     for name in ("retire_workers", "identity"):
         assert hasattr(scheduler.Scheduler, name), name
-    for name in ("worker_address", "finished", "close"):
+    for name in ("worker_address", "finished", "close", "_unregister"):
         assert hasattr(distributed.Nanny, name), name
     for name in vars(ReportRetries):
         if inspect.isfunction(vars(ReportRetries)[name]) and name != "__init__":

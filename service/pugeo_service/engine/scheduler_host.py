@@ -2,6 +2,7 @@
 """The scheduler of a cluster of several machines, in a process of its own."""
 
 import asyncio
+import logging
 import resource
 import sys
 from typing import Any
@@ -21,7 +22,7 @@ _TTL = "30s"
 _CLOSE_S = 10.0
 
 
-class VersionedScheduler(Scheduler):  # type: ignore[misc]
+class VersionedScheduler(Scheduler):
     """Dask's scheduler, in which the resources of a task bind whatever becomes of its worker.
 
     A task may name a worker and allow others. Once that worker is gone, Dask forgets the task's
@@ -46,6 +47,9 @@ async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:
     """
     configure_dask()
     dask.config.set({"distributed.scheduler.worker-ttl": _TTL})
+    # A probe that connects and leaves would be a line each time; whoever has a wrong certificate
+    # says so itself.
+    logging.getLogger("distributed.comm.tcp").setLevel(logging.ERROR)
     _allow_descriptors()
     try:
         scheduler = await VersionedScheduler(

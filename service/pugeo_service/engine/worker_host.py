@@ -9,7 +9,6 @@ from typing import Any
 
 import distributed
 import structlog
-from distributed.core import connect, rpc
 
 from pugeo_model.kernel_cache import compile_kernels
 from pugeo_service.engine.children import end_children
@@ -19,11 +18,23 @@ from pugeo_service.settings import Settings
 __all__ = ["WorkerHost"]
 
 _log = structlog.stdlib.get_logger("pugeo.worker")
+# Dask's annotations cover half of it and contradict the other half.
+_dask: Any = distributed
 _RETRY_S = 1.0
 _ANSWER_S = 10.0
 # Results that only these workers hold move to others, so that they need not be computed again.
 _RETIRE_S = 10.0
 _CLOSE_S = 10.0
+_UNREGISTER_S = 2.0
+
+
+class _Nanny(distributed.Nanny):
+    """Dask's nanny, which waits less for a scheduler that is gone."""
+
+    async def _unregister(self, timeout: float = _UNREGISTER_S) -> None:  # noqa: ASYNC109
+        """Tell the scheduler that the worker process has ended; it sees that itself as well."""
+        shorter = min(timeout, _UNREGISTER_S)
+        await super()._unregister(shorter)  # type: ignore[no-untyped-call]
 
 
 class WorkerHost:
@@ -111,7 +122,7 @@ class WorkerHost:
         settings = self._settings
         while True:
             await self._reach_scheduler()
-            nanny: Any = distributed.Nanny(  # type: ignore[no-untyped-call]
+            nanny: Any = _Nanny(
                 settings.scheduler,
                 nthreads=1,
                 memory_limit=settings.worker_memory,
@@ -145,7 +156,9 @@ class WorkerHost:
         async with self._reaching:
             while True:
                 try:
-                    comm = await connect(address, timeout=_ANSWER_S, **self._connection)
+                    answer = await _dask.comm.connect(
+                        address, timeout=_ANSWER_S, **self._connection
+                    )
                 except Exception as error:  # noqa: BLE001 - also TLS errors of all kinds
                     reason = _reason(error)
                     if reason != told:
@@ -157,7 +170,7 @@ class WorkerHost:
                     told = reason
                     await asyncio.sleep(_RETRY_S)
                 else:
-                    comm.abort()
+                    answer.abort()
                     self._reached.set()
                     return
 
@@ -169,7 +182,7 @@ class WorkerHost:
         try:
             async with (
                 asyncio.timeout(_RETIRE_S),
-                rpc(self._settings.scheduler, connection_args=self._connection) as scheduler,
+                _dask.rpc(self._settings.scheduler, connection_args=self._connection) as scheduler,
             ):
                 await scheduler.retire_workers(workers=workers, close_workers=False, remove=True)
         except Exception as error:  # noqa: BLE001 - the results are computed again then

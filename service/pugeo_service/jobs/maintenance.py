@@ -41,6 +41,7 @@ class Maintenance:
             run.
         reserve: room for the database on a full disk.
         kept_rows: finished jobs without a result that are kept of each owner.
+        ended: returns the ended ones among some processes; ``None``: the lock tells.
 
     Attributes:
         usage: use of the capacity for jobs, at most some seconds old.
@@ -56,6 +57,7 @@ class Maintenance:
         requeue_unknown: Callable[[], Awaitable[None]],
         reserve: Reserve,
         kept_rows: int,
+        ended: Callable[[list[str]], Awaitable[list[str]]] | None = None,
     ) -> None:
         self._database = database
         self._files = files
@@ -65,6 +67,7 @@ class Maintenance:
         self._requeue_unknown = requeue_unknown
         self._reserve = reserve
         self._kept_rows = kept_rows
+        self._ended = ended or (lambda names: asyncio.to_thread(lock.ended, names))
         self.usage = JobUsage()
 
     async def start(self) -> None:
@@ -108,7 +111,7 @@ class Maintenance:
 
     async def _take_over(self) -> None:
         names = await self._database.read(repository.runners)
-        ended = await asyncio.to_thread(self._lock.ended, names)
+        ended = await self._ended(names)
         if not ended:
             return
         failed = await self._database.write(

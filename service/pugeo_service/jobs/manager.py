@@ -24,6 +24,8 @@ from pugeo_service.jobs.models import Job, State, is_id
 from pugeo_service.jobs.process_lock import ProcessLock
 from pugeo_service.jobs.repository import JobUsage
 from pugeo_service.jobs.runner import Runner
+from pugeo_service.jobs.runner_beats import RunnerBeats
+from pugeo_service.jobs.stored_files import StoredJobFiles
 from pugeo_service.jobs.submission import Submission
 from pugeo_service.jobs.webhooks import Webhooks
 from pugeo_service.models import Models
@@ -70,9 +72,19 @@ class JobManager:
         self._settings = settings
         self._telemetry = telemetry
         self._lock = ProcessLock(self._folder)
-        self.files = JobFiles(self._folder, self._lock.name)
+        self.files = (
+            JobFiles(self._folder, self._lock.name)
+            if settings.jobs_store is None
+            else StoredJobFiles(self._folder, self._lock.name, settings.jobs_store)
+        )
         self._reserve = Reserve(self._folder / "reserve")
         self._database = Database(settings.jobs_database, self._reserve)
+        # Locks on files show which processes run, where all share a folder.
+        self._beats = (
+            RunnerBeats(self._database, self._lock.name)
+            if settings.fronts_share_no_folder
+            else None
+        )
         self.admission = Admission(
             settings.queue_patches, settings.queue_bytes, settings.jobs_running
         )
@@ -120,6 +132,7 @@ class JobManager:
             self._runner.requeue_unknown,
             self._reserve,
             max(_LEAST_ROWS, settings.jobs_queue),
+            None if self._beats is None else self._beats.ended,
         )
         self._webhooks: Webhooks | None = None
         if settings.webhook_secret is not None:
@@ -162,6 +175,8 @@ class JobManager:
                 task.cancel()
             await asyncio.gather(*others, return_exceptions=True)
         self._ready = False
+        if self._beats is not None:
+            await self._beats.stop()
         await asyncio.to_thread(self._database.close)
         self._lock.release()
         if self._settings.jobs_folder_is_private:
@@ -245,6 +260,8 @@ class JobManager:
         try:
             await asyncio.to_thread(self.files.prepare)
             await asyncio.to_thread(self._lock.acquire)
+            if self._beats is not None:
+                await self._beats.beat()
             await self._maintenance.start()
         except OSError as error:
             _log.error("folder of jobs cannot be used", reason=str(error))
@@ -254,6 +271,8 @@ class JobManager:
         tasks = [self._runner.run(), self._maintenance.run(), self.changes.run()]
         if self._webhooks is not None:
             tasks.append(self._webhooks.run())
+        if self._beats is not None:
+            tasks.append(self._beats.run())
         self._tasks = [asyncio.create_task(task) for task in tasks]
         self._ready = True
         _log.info("jobs available", folder=str(self._folder), queued=self.usage.queued)

@@ -14,6 +14,7 @@ from pugeo_service.jobs import clock
 from pugeo_service.jobs.files import JobFiles, ResultLostError
 from pugeo_service.jobs.models import Job
 from pugeo_service.problems import ProblemError
+from pugeo_service.storage.problems import storage_problem
 
 __all__ = ["check_available", "result_response"]
 
@@ -57,7 +58,8 @@ def result_response(request: Request, job: Job, files: JobFiles) -> Response:
         files: files of jobs.
 
     Raises:
-        ProblemError: 410, the file does not exist; 500, its bytes have changed.
+        ProblemError: 410, the file does not exist; 500, its bytes have changed; 503, the disk or
+            the store fails.
     """
     assert job.result_bytes is not None
     assert job.result_sha256 is not None
@@ -87,6 +89,8 @@ def result_response(request: Request, job: Job, files: JobFiles) -> Response:
         _log.error("result of a job is damaged", job=job.id, reason=str(error))
         detail = f"The service lost the result of this job: {error}. Submit the job again."
         raise ProblemError(500, "result_lost", detail, retryable=False) from error
+    except OSError as error:
+        raise storage_problem(error) from error
     media_type = headers.pop("Content-Type")
     return _ResultFile(path, headers=headers, media_type=media_type, stat_result=status)
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import structlog
 
 from pugeo_service.problems import ProblemError
+from pugeo_service.storage.object_store import StoreError
 
 __all__ = ["storage_problem", "storage_problems"]
 
@@ -18,10 +19,14 @@ _RETRY_S = 30.0
 
 def storage_problem(error: OSError) -> ProblemError:
     """Return the problem for an error of the disk; the cause is logged."""
-    _log.error("disk error", reason=str(error))
+    kind = "store error" if isinstance(error, StoreError) else "disk error"
+    _log.error(kind, reason=str(error))
     if error.errno in _FULL:
         detail = "The disk of the service is full; try again after the time in Retry-After."
         return ProblemError(503, "storage_full", detail, retry_after=_RETRY_S)
+    if isinstance(error, StoreError):
+        detail = "The store of jobs fails; try again after the time in Retry-After."
+        return ProblemError(503, "storage_failed", detail, retry_after=_RETRY_S)
     detail = "The disk of the service fails; try again after the time in Retry-After."
     return ProblemError(503, "storage_failed", detail, retry_after=_RETRY_S)
 

@@ -61,7 +61,9 @@ class Cluster:
 def play(tmp_path: Path, root: Path) -> Callable[[Scenario], None]:
     """Run a scenario in a cluster without workers."""
     subprocess.run([sys.executable, root / "deploy/make_certs.py", tmp_path], check=True)
-    files = {f"tls_{name}": tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")}
+    files: dict[str, Any] = {
+        f"tls_{name}": tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")
+    }
 
     @asynccontextmanager
     async def opened() -> AsyncIterator[Cluster]:

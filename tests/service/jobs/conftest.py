@@ -22,6 +22,7 @@ from pugeo_service import app as app_module
 from pugeo_service.app import create_app
 from pugeo_service.engine import EngineLostError, ModelId, RunRequest, RunResult, WorkerLostError
 from pugeo_service.engine.engine import Status
+from pugeo_service.engine.errors import disk_errors
 from pugeo_service.jobs.manager import JobManager
 from pugeo_service.settings import Settings
 from pugeo_service.storage.spool import Spool
@@ -71,7 +72,8 @@ class FakeEngine:
         on_done: Callable[[int], object],
         on_stage: Callable[[str], object] = lambda _: None,
     ) -> RunResult:
-        data = (await body.read()).tobytes()
+        with disk_errors():
+            data = (await body.read()).tobytes()
         self.began.append(data)
         self.orders.append(order)
         self.running += 1
