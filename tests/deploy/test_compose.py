@@ -159,9 +159,8 @@ def test_the_certificates_are_good_for_both_ends(root: Path, tmp_path: Path) -> 
         meet("theirs")
 
 
-def test_the_cluster_runs_our_commands(root: Path) -> None:
+def test_the_cluster_runs_our_commands(services: dict[str, Any]) -> None:
     """Scheduler and workers are started by `pugeo`, over the certificates of the front."""
-    services = services(root)
     assert services["scheduler"]["command"][:2] == ["pugeo", "scheduler"]
     assert services["worker"]["command"] == ["pugeo", "worker"]
     for name in ("scheduler", "worker", "front"):

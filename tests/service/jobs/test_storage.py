@@ -68,7 +68,7 @@ def test_a_disk_that_fails_otherwise(play: Any, monkeypatch: pytest.MonkeyPatch)
 
 def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job is repeated later; it fails if the disk stays full."""
-    monkeypatch.setattr("pugeo_service.jobs.completion._STORAGE_RETRY_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._REPAIR_S", 0.05)
 
     async def scenario(house: Any) -> None:
         house.engine.hold.clear()
@@ -86,7 +86,7 @@ def test_no_room_for_a_result(play: Any, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_disk_that_fails_the_engine(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """If the engine finds the disk full, a job is repeated and a request gets 503."""
-    monkeypatch.setattr("pugeo_service.jobs.completion._STORAGE_RETRY_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.completion._REPAIR_S", 0.05)
 
     async def scenario(house: Any) -> None:
         full = [True, True]

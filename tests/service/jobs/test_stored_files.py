@@ -120,7 +120,7 @@ def test_a_store_that_fails(
 
     for name, work in (("put", put), ("get", get), ("remove", remove)):
         monkeypatch.setattr(ObjectStore, name, checked(work))
-    monkeypatch.setattr("pugeo_service.jobs.completion._STORAGE_RETRY_S", 0.1)
+    monkeypatch.setattr("pugeo_service.jobs.completion._REPAIR_S", 0.1)
 
     async def scenario() -> None:
         nonlocal fails
