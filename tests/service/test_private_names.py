@@ -83,6 +83,7 @@ def test_names_of_dask() -> None:
     assert "self.process" in inspect.getsource(distributed.nanny.WorkerProcess.__init__)
     assert hasattr(distributed.process.AsyncProcess, "pid")
     assert hasattr(scheduler.Scheduler, "valid_workers")
+    assert '"resource_restrictions"' in inspect.getsource(scheduler.Scheduler._task_to_msg)
     states = inspect.getsource(scheduler.TaskState)
     for name in ("worker_restrictions", "loose_restrictions", "resource_restrictions"):
         assert f"{name}:" in states, name

@@ -12,15 +12,16 @@ from pugeo_service.observability.telemetry import WorkerUse
 if TYPE_CHECKING:
     from pugeo_model.weights import Weights
 
-__all__ = ["CORE", "QUICK", "Backend", "Handle", "is_quick", "quick"]
+__all__ = ["CORE", "QUICK", "QUICK_PREFIX", "Backend", "Handle", "is_quick", "quick"]
 
 CORE = f"core-{__version__}"
 """Dask resource of which a worker has one: stages that compute need it, so they run one by one.
 
 It is named after the version, so that workers of another version are given no task.
 """
-QUICK = f"quick-{__version__}"
-"""Dask resource of which a worker has more than it needs: stages that only look something up."""
+QUICK_PREFIX = "quick-"
+QUICK = f"{QUICK_PREFIX}{__version__}"
+"""Dask resource of stages that only look something up: it chooses workers and is never used up."""
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)

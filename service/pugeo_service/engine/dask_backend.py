@@ -204,11 +204,18 @@ class DaskBackend:
                 workers=worker,
                 # The named worker may be gone.
                 allow_other_workers=worker is not None,
-                resources={QUICK if is_quick(stage) else CORE: 1},
+                resources=self._resources(stage),
             )
         except ClosedClientError as error:
             raise EngineLostError(str(error)) from error
         return handle
+
+    def _resources(self, stage: Callable[..., Any]) -> dict[str, int] | None:
+        if not is_quick(stage):
+            return {CORE: 1}
+        # Our own workers are all of this version, and Dask's own scheduler lets tasks with a
+        # resource wait behind those that wait for the core.
+        return {QUICK: 1} if self._cluster is None else None
 
     async def wait(self, handle: Any) -> None:
         """Wait for a result without moving it."""

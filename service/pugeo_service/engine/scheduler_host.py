@@ -11,6 +11,7 @@ import dask
 import structlog
 from distributed.scheduler import Scheduler
 
+from pugeo_service.engine.backend import QUICK_PREFIX
 from pugeo_service.engine.dask_config import configure_dask, mutual_tls, scheduler_options
 from pugeo_service.settings import Settings
 
@@ -36,6 +37,21 @@ class VersionedScheduler(Scheduler):
             return found
         ts.worker_restrictions, ts.loose_restrictions = set(), False
         return super().valid_workers(ts)
+
+    def _task_to_msg(self, ts: Any) -> dict[str, Any]:
+        """Return the message that gives a task to a worker.
+
+        The resource of quick stages only chooses the worker. There a task with a resource would
+        wait behind those that wait for the core.
+        """
+        message = super()._task_to_msg(ts)
+        if ts.resource_restrictions:
+            message["resource_restrictions"] = {
+                name: amount
+                for name, amount in ts.resource_restrictions.items()
+                if not name.startswith(QUICK_PREFIX)
+            }
+        return message
 
 
 async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:

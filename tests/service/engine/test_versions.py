@@ -14,7 +14,7 @@ import pytest
 import structlog
 from tests.service.engine import foreign_version
 from tests.service.engine import light_stages as light
-from tests.service.engine.light_tasks import submit, until, warm
+from tests.service.engine.light_tasks import submit, until, until_quick, warm
 
 from pugeo_service import __version__
 from pugeo_service.engine.dask_backend import DaskBackend
@@ -132,5 +132,22 @@ def test_a_lost_place_is_not_taken_by_another_version(
         await cluster.join(light)
         assert await backend.fetch(placed) == 2
         assert set(other.data) == set()
+
+    play(scenario)
+
+
+def test_quick_stages_do_not_wait(play: Callable[[Scenario], None], tmp_path: Path) -> None:
+    """A quick stage overtakes stages that wait for the core, on workers of another machine too."""
+
+    async def scenario(cluster: Cluster) -> None:
+        backend, gate, log = cluster.backend, tmp_path / "gate", tmp_path / "log"
+        await cluster.join(light)
+        await backend.start()
+        held = [submit(backend, light.hold, str(gate), str(log), name) for name in "ab"]
+        await until(log.exists)
+        await until_quick(backend)
+        assert log.read_text().split() == ["a"]
+        gate.touch()
+        assert [await backend.fetch(each) for each in held] == ["a", "b"]
 
     play(scenario)
