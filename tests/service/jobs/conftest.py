@@ -52,10 +52,11 @@ class FakeEngine:
         self.running = 0
         self.most_running = 0
         self.lose = 0
+        self.workers = 2
 
     @property
     def status(self) -> Status:
-        return Status(workers=2, expected=2, lost=0, retried=0)
+        return Status(workers=self.workers, expected=2, lost=0, retried=0)
 
     async def start(self) -> None:
         pass
