@@ -15,7 +15,7 @@ COPY deploy/image/requirements.py deploy/image/prune.py deploy/image/
 RUN --mount=type=cache,target=/root/.cache/pip \
     pip install --no-deps --index-url "${TORCH_INDEX_URL}" "torch==${TORCH_VERSION}"
 RUN --mount=type=cache,target=/root/.cache/pip \
-    python deploy/image/requirements.py otel postgres surfaces > requirements.txt \
+    python deploy/image/requirements.py otel postgres store surfaces > requirements.txt \
     && pip install --constraint constraints.txt --requirement requirements.txt hatchling
 COPY LICENSE README.md ./
 COPY client client

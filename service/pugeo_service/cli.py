@@ -107,10 +107,13 @@ def worker(
     worker_memory: Annotated[
         str | None, Option(help="Memory limit of a worker: 2GB, or a share of all memory [auto].")
     ] = None,
-    model: Annotated[str | None, Option(help="Name or path of the weights [standard].")] = None,
     host: Annotated[
         str | None,
         Option(help="Address at which other machines reach these workers [that of the way out]."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        Option(min=1, max=65000, help="First of two ports for each worker [free ones]."),
     ] = None,
     spool_dir: Annotated[Path | None, Option(help="Folder for temporary files.")] = None,
     log_format: Annotated[str | None, Option(help="auto, json or console [auto].")] = None,
@@ -122,11 +125,12 @@ def worker(
     and PUGEO_TLS_KEY name the certificates. A scheduler that goes away is waited for.
     """
     given = {name: value for name, value in locals().items() if value is not None}
-    given.pop("host", None)
+    for name in ("host", "port"):
+        given.pop(name, None)
     with _needs_extra("worker"):
         from pugeo_service.cluster import worker_main
 
-    raise typer.Exit(worker_main(given, host))
+    raise typer.Exit(worker_main(given, host, port))
 
 
 def keys(

@@ -37,7 +37,7 @@ def scheduler_main(given: dict[str, Any]) -> int:
     return _until_signal(lambda stop: run_scheduler(settings, stop))
 
 
-def worker_main(given: dict[str, Any], host: str | None) -> int:
+def worker_main(given: dict[str, Any], host: str | None, port: int | None) -> int:
     """Work for a scheduler until a signal; return the exit status.
 
     Returns:
@@ -52,11 +52,11 @@ def worker_main(given: dict[str, Any], host: str | None) -> int:
     if not begin(settings):
         return 2
     _log.info("starting workers", scheduler=settings.scheduler, workers=settings.worker_count)
-    return _until_signal(lambda stop: _work(settings, host, stop))
+    return _until_signal(lambda stop: _work(settings, host, port, stop))
 
 
-async def _work(settings: Settings, host: str | None, stop: asyncio.Event) -> int:
-    return await WorkerHost(settings, host).run(stop)
+async def _work(settings: Settings, host: str | None, port: int | None, stop: asyncio.Event) -> int:
+    return await WorkerHost(settings, host, port).run(stop)
 
 
 def _until_signal(run: Callable[[asyncio.Event], Awaitable[int]]) -> int:

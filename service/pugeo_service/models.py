@@ -92,10 +92,12 @@ class Models:
                 _log.error("weights are not used", model=name, reason=error.message)
         names = ", ".join(sorted(self._served))
         if self._default not in self._served:
-            missing = f"no weights of this name: give one of {names} or the path of a file"
+            missing = f"no weights {self._default!r}: give one of {names} or the path of a file"
             raise _wrong("PUGEO_MODEL", settings.model, missing)
         if self._canary is not None and self._canary[0] not in self._served:
-            raise _wrong("PUGEO_CANARY", self._canary[0], f"no weights of this name, only {names}")
+            raise _wrong(
+                "PUGEO_CANARY", self._canary[0], f"no weights of this name: give one of {names}"
+            )
 
     @property
     def default(self) -> ServedModel:

@@ -215,7 +215,7 @@ def test_the_network_lets_through_what_is_needed(manifests: list[Manifest]) -> N
     command = of(manifests, "Deployment")["scans-pugeo-worker"]["spec"]["template"]["spec"][
         "containers"
     ][0]["command"]
-    assert {"--worker-port=8788", "--nanny-port=8789"} <= set(command)
+    assert "--port=8788" in command
 
 
 def test_a_database_may_be_reached(everything: list[Manifest]) -> None:

@@ -21,6 +21,7 @@ from pugeo_client import Client
 helm = pytest.importorskip("helm_python", reason="make test-deploy installs Helm's library")
 
 START_S = 240.0
+PUGEO = "from pugeo_model.cli import main; main()"
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -44,7 +45,8 @@ def cluster(
         folder.mkdir()
     make = [sys.executable, str(root / "deploy/make_certs.py"), str(folders["/certificates"])]
     subprocess.run(make, check=True)
-    ports = {number: free_port() for number in (8000, 8786, 8788, 8789, 9100)}
+    ports = {number: free_port() for number in (8000, 8786, 8788, 9100)}
+    ports[8789] = ports[8788] + 1  # as `pugeo worker` has it
 
     def here(text: str) -> str:
         text = text.replace("/certificates", str(folders["/certificates"]))
@@ -70,8 +72,8 @@ def cluster(
 
         def start(command: list[str], environment: dict[str, str]) -> psutil.Process:
             words = [here(word) for word in command]
-            if words[0] == "dask":
-                words = [sys.executable, "-m", "distributed.cli.dask_" + words[1], *words[2:]]
+            if words[0] == "pugeo":
+                words = [sys.executable, "-c", PUGEO, *words[1:]]
             else:
                 words[0] = sys.executable
             given = {name: here(value) for name, value in environment.items()}

@@ -48,20 +48,8 @@ def test_a_worker_with_wrong_settings(
     given: dict[str, Any], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Status 2, and a line that names the setting."""
-    assert cluster.worker_main(given, None) == 2
+    assert cluster.worker_main(given, None, None) == 2
     assert told in capsys.readouterr().err
-
-
-def test_a_worker_with_unknown_weights(
-    certificates: dict[str, str],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Status 2 before anything starts."""
-    for name, value in certificates.items():
-        monkeypatch.setenv(name, value)
-    assert cluster.worker_main({"scheduler": "tls://127.0.0.1:1", "model": "none"}, None) == 2
-    assert capsys.readouterr().err.startswith("PUGEO_MODEL=none: ")
 
 
 @pytest.mark.slow

@@ -44,11 +44,14 @@ class WorkerHost:
         settings: the scheduler, certificates, number and memory of workers, weights, spool folder.
         host: address at which other machines reach these workers; ``None``: the one from which
             this machine reaches the scheduler.
+        port: first of two ports for each worker; ``None``: free ones.
     """
 
-    def __init__(self, settings: Settings, host: str | None = None) -> None:
+    def __init__(
+        self, settings: Settings, host: str | None = None, port: int | None = None
+    ) -> None:
         self._settings = settings
-        self._host = host
+        self._host, self._port = host, port
         self._security = mutual_tls(settings)
         self._connection = self._security.get_connection_args("worker")
         self._nannies: set[Any] = set()
@@ -71,7 +74,9 @@ class WorkerHost:
             _log.error("workers cannot start", reason=str(error))
             return 1
         configure_dask()
-        keeping = [asyncio.create_task(self._keep()) for _ in range(self._settings.worker_count)]
+        keeping = [
+            asyncio.create_task(self._keep(number)) for number in range(self._settings.worker_count)
+        ]
         failing = asyncio.create_task(self._until_too_late())
         try:
             await asyncio.wait({stopping, failing}, return_when=asyncio.FIRST_COMPLETED)
@@ -117,8 +122,9 @@ class WorkerHost:
         else:
             await asyncio.Event().wait()
 
-    async def _keep(self) -> None:
+    async def _keep(self, number: int) -> None:
         """Keep one worker process, until cancelled."""
+        port = None if self._port is None else self._port + 2 * number
         settings = self._settings
         while True:
             await self._reach_scheduler()
@@ -128,6 +134,8 @@ class WorkerHost:
                 memory_limit=settings.worker_memory,
                 security=self._security,
                 host=self._host,
+                worker_port=port,
+                port=None if port is None else port + 1,
                 local_directory=str(settings.spool_dir),
                 dashboard=False,
                 dashboard_address="127.0.0.1:0",

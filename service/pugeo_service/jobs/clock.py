@@ -32,7 +32,9 @@ class SteadyClock:
         offset = time.time() - monotonic
         if abs(offset - self._offset) <= _JUMP_S:
             self._offset, self._jumped_at = offset, None
-        elif self._jumped_at is None or abs(offset - self._jumped_to) > _JUMP_S:
+            # Not the attribute: another thread may have changed it since.
+            return monotonic + offset
+        if self._jumped_at is None or abs(offset - self._jumped_to) > _JUMP_S:
             self._jumped_at, self._jumped_to = monotonic, offset
         elif monotonic - self._jumped_at >= _TRUST_S:
             self._offset, self._jumped_at = offset, None
