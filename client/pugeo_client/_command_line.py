@@ -80,6 +80,10 @@ class CommandLineService:
         """Make calls in threads and yield the results in order; leaving interrupts them."""
         return map_in_threads(call, items, concurrency)
 
+    def close(self) -> None:
+        """Close all connections."""
+        self._client.close()
+
 
 def _copy(result: Result, target: BinaryIO) -> None:
     assert result.data is not None

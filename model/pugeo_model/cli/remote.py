@@ -36,6 +36,9 @@ class RemoteService(Protocol):
     ) -> Iterator[Outcome]:
         """Make calls side by side; outcomes come in order."""
 
+    def close(self) -> None:
+        """Close all connections."""
+
 
 def connect(url: str, *, as_jobs: bool) -> RemoteService:
     """Find the client of a service.

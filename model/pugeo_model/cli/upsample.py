@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -162,8 +163,8 @@ def _run(
                 "a service cannot tell the format of stdin beforehand: give one",
                 param_hint="--format",
             )
-        service = connect(url, as_jobs=jobs)
-        yield from run_remotely(service, tasks, settings, workers or _REQUESTS, display.update)
+        with closing(connect(url, as_jobs=jobs)) as service:
+            yield from run_remotely(service, tasks, settings, workers or _REQUESTS, display.update)
         return
     from pugeo_model.cli.local import MOST_PROCESSES, run_here, run_in_processes
     from pugeo_model.cpus import available_cpus

@@ -51,6 +51,9 @@ class InMemory:
         assert concurrency == 3
         return map(call, items)
 
+    def close(self) -> None:
+        """Do nothing: there are no connections."""
+
 
 def test_tasks(tmp_path: Path) -> None:
     """Each task has its outcome; an error of the service or of the disk is that of one file."""

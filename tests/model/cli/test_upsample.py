@@ -153,10 +153,15 @@ def test_a_service_gets_the_size_that_was_given(
         def each(self, call: Any, items: Any, _concurrency: int) -> Any:
             return map(call, items)
 
+        def close(self) -> None:
+            closed.append(True)
+
+    closed: list[bool] = []
     monkeypatch.setattr("pugeo_model.cli.remote.connect", lambda *_, **__: Service())
     out = tmp_path / "x.ply"
     done = pugeo("upsample", scan("a.ply"), "-o", out, "--url", "http://there", *arguments)
     assert done.status == 0, done.stderr
+    assert closed == [True]
     sizes = {name: asked[0].get(name) for name in ("ratio", "n_points", "spacing")}
     assert {name: value for name, value in sizes.items() if value is not None} == size
 
