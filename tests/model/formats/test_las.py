@@ -104,6 +104,15 @@ def test_new_points_and_normals(parse: Parse, dump: Dump, name: str) -> None:
     assert dump(dense, name) == data
 
 
+def test_signalling_nan(parse: Parse) -> None:
+    """Times that are signalling NaN, as in damaged files, cause no warning of numpy."""
+    las = laspy.read(io.BytesIO(made()))
+    las.gps_time = np.full(len(las.x), 0x7FF0_0000_0000_0001, np.uint64).view(np.float64)
+    file = io.BytesIO()
+    las.write(file)
+    assert np.isnan(parse(file.getvalue()).scalars["gps_time"]).all()
+
+
 def test_cloud_of_another_format(parse: Parse, dump: Dump) -> None:
     """Scalars of a PLY file go to the standard fields of their names where these can hold them."""
     rng = np.random.default_rng(1)

@@ -165,7 +165,8 @@ def _cloud(
         with np.errstate(over="ignore", invalid="ignore"):
             normals = np.stack(parts, axis=1).astype(np.float32)
     # A file without a field is the same as one with zeros; classes are kept, since 0 is one.
-    zero = [name for name in fields if name != "classification" and not columns[name].any()]
+    with np.errstate(invalid="ignore"):  # signalling NaN, which broken files have
+        zero = [name for name in fields if name != "classification" and not columns[name].any()]
     scalars = {
         name: values
         for name, values in columns.items()
