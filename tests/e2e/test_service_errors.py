@@ -125,6 +125,19 @@ def test_bad_input(server: Server, name: str) -> None:
     assert good.status_code == 200, good.text
 
 
+def test_faults_of_the_input_are_no_tracebacks(server: Server) -> None:
+    """The log has a line for a refused cloud, and neither a traceback nor its arguments."""
+    before = len(server.log.read_text())
+    refused = httpx2.post(f"{server.url}/upsample", content=ply(LINE), timeout=60)
+    assert refused.status_code == 422
+    # The worker writes its own lines; a second answer means that those of the first are there.
+    assert httpx2.post(f"{server.url}/upsample", content=ply(GOOD), timeout=60).status_code == 200
+    told = server.log.read_text()[before:]
+    assert refused.headers["x-request-id"] in told
+    assert "Traceback" not in told
+    assert "Compute Failed" not in told
+
+
 def test_some_bad_points_are_dropped(server: Server) -> None:
     """NaN rows are dropped and counted."""
     points = np.concatenate([GOOD, np.full((3, 3), np.nan, dtype=np.float32)])

@@ -116,7 +116,7 @@ def dask_setup(worker: Any) -> None:
     # Ctrl+C reaches the whole process group; the front stops its workers in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Dask logs every exception with all arguments; the front logs the ones that are bugs.
-    logging.getLogger("distributed.worker").setLevel(logging.ERROR)
+    logging.getLogger("distributed.worker").setLevel(logging.CRITICAL)
     for handler in logging.getLogger("distributed").handlers:
         handler.addFilter(_in_one_line)
     # The thread that computes yields to the one that transfers ten times as often: 8 patches over
