@@ -163,11 +163,13 @@ class Models:
                 _log.exception("weights cannot be updated")
 
     async def _update(self, engine: Engine) -> None:
-        for name in list(self._served.keys() - self._paths().keys()):
-            if name != self._default:
-                self._forget(self._served.pop(name))
-                _log.info("model removed", model=name)
-        for model in await asyncio.to_thread(lambda: list(self._changed())):
+        present, changed = await asyncio.to_thread(self._look)
+        for name in list(self._served.keys() - present - {self._default}):
+            self._forget(self._served.pop(name))
+            # The same file may come back.
+            self._stamps.pop(name, None)
+            _log.info("model removed", model=name)
+        for model in changed:
             before = self._served.get(model.name)
             if before is not None and before.card == model.card:
                 continue
@@ -178,9 +180,12 @@ class Models:
                 self._forget(before)
             _log.info("model loaded", **model.described)
         now = _now()
+        needed = {model.card["sha256"] for model in self._served.values() if model.own is not None}
         for due in [each for each in self._removed if each[0] < now]:
             self._removed.remove(due)
-            await engine.remove(due[1])
+            # Another model may have the same weights, or the file may have come back.
+            if due[1] not in needed:
+                await engine.remove(due[1])
 
     def _forget(self, model: ServedModel) -> None:
         """Take weights from the workers once no request that began with them can be running."""
@@ -198,14 +203,16 @@ class Models:
             found[self._default] = self._file
         return found
 
-    def _changed(self) -> Iterator[ServedModel]:
-        """Read the files that have changed since they were read."""
-        for name, path in self._paths().items():
+    def _look(self) -> tuple[set[str], list[ServedModel]]:
+        """Return the names that have files, and the models whose files have changed."""
+        paths, changed = self._paths(), []
+        for name, path in paths.items():
             if self._stamps.get(name) != _stamp(path):
                 try:
-                    yield self._read(name, path)
+                    changed.append(self._read(name, path))
                 except CloudError as error:
                     _log.error("changed weights are not used", model=name, reason=error.message)
+        return set(paths), changed
 
     def _read(self, name: str, path: Path) -> ServedModel:
         """Read weights; own ones are also built once.

@@ -48,10 +48,10 @@ def ball(count: int) -> bytes:
 
 
 SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(100_000)
-# One worker has patches of it to compute for seconds.
-HALF = ball(16_000)
+# One worker takes as long for it as two take for the large one.
+HALF = ball(50_000)
 # It takes more than a second on any machine; progress is stored every half second.
-LONG = ball(20_000)
+LONG = ball(40_000)
 
 
 def eventually(check: Callable[[], bool], seconds: float = 300.0) -> None:
@@ -154,7 +154,7 @@ def test_a_drain_queues_jobs_again_and_ends_streams(launch: Any, tmp_path: Path)
     with launch("--workers", "1", PUGEO_JOBS_DIR=folder) as other:
         other.wait_until_ready()
         dense = formats.read(io.BytesIO(finish(other, job_id)), format="ply")
-        assert len(dense.points) == 32_000
+        assert len(dense.points) == 100_000
         job = httpx2.get(f"{other.url}/jobs/{job_id}", timeout=60).json()
         assert job["attempts"] == 1
 
@@ -174,16 +174,16 @@ def test_events_and_ranges(server: Server) -> None:
     assert "progress" in names
     assert names[-1] == "end"
     assert last["state"] == "succeeded"
-    assert last["report"]["points_out"] == 80_000
+    assert last["report"]["points_out"] == 160_000
     url = f"{server.url}/jobs/{job_id}/result"
     whole = httpx2.get(url, timeout=60)
     etag = whole.headers["etag"]
     assert etag == f'"{hashlib.sha256(whole.content).hexdigest()}"'
     parts = [
         httpx2.get(
-            url, headers={"Range": f"bytes={start}-{start + 499_999}", "If-Range": etag}, timeout=60
+            url, headers={"Range": f"bytes={start}-{start + 999_999}", "If-Range": etag}, timeout=60
         )
-        for start in range(0, len(whole.content), 500_000)
+        for start in range(0, len(whole.content), 1_000_000)
     ]
     assert {part.status_code for part in parts} == {206}
     assert b"".join(part.content for part in parts) == whole.content

@@ -37,8 +37,13 @@ def kitti() -> Cloud:
 
 def laurana() -> Cloud:
     """Half of one view of a triangulation scanner, with a camera element and faces."""
-    whole = read(SCANS / "laurana_range_000.ply")
+    whole = whole_laurana()
     return whole.take(whole.points[:, 0] < np.median(whole.points[:, 0]))
+
+
+def whole_laurana() -> Cloud:
+    """The whole view."""
+    return read(SCANS / "laurana_range_000.ply")
 
 
 def autzen() -> Cloud:
@@ -65,6 +70,7 @@ def office() -> Cloud:
     [
         kitti,
         laurana,
+        pytest.param(whole_laurana, marks=pytest.mark.long),
         pytest.param(autzen, marks=pytest.mark.long),
         pytest.param(office, marks=pytest.mark.long),
     ],

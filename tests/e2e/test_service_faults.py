@@ -41,8 +41,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-# Two workers have 15 patches of the large one to compute for seconds.
-SMALL, LARGE = ball(1000), ball(30_000)
+SMALL, LARGE = ball(1000), ball(80_000)
 
 
 class Call(threading.Thread):
@@ -93,7 +92,7 @@ def test_a_killed_worker_costs_a_retry(server: Server) -> None:
         server.workers()[0].kill()
     response = call.answer()
     assert response.status_code == 200, response.text
-    assert response.headers["pugeo-points-out"] == "60000"
+    assert response.headers["pugeo-points-out"] == "160000"
     eventually(lambda: server.metric('pugeo_worker_restarts_total{reason="lost"}') == lost + 1)
     eventually(lambda: server.metric('pugeo_workers{state="warm"}') == 2)
 
@@ -125,7 +124,7 @@ def test_a_small_request_does_not_wait_for_a_large_one(server: Server) -> None:
 
 def test_a_large_request_does_not_wait_for_small_ones_without_end(server: Server) -> None:
     """A large request ends while small ones keep all workers busy."""
-    large = Call(server, ball(16_000))
+    large = Call(server, ball(30_000))
 
     def keep_asking() -> None:
         while large.is_alive():

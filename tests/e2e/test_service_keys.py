@@ -30,7 +30,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(40_000)
+SMALL, LARGE = ball(3000), ball(80_000)
 
 
 def bearer(name: str) -> dict[str, str]:
@@ -59,7 +59,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
     """Shares of owners, rotation of keys, and refusal of deadlines that cannot be met."""
     path = tmp_path / "keys"
     write_keys(path, "ann")
-    options = ["--engine", "inline", "--queue-patches", "30", "--metrics-port", "0"]
+    options = ["--engine", "inline", "--queue-patches", "60", "--metrics-port", "0"]
     options += ["--api-keys-file", str(path)]
     with launch(*options) as server:
         server.wait_until_ready()
@@ -83,7 +83,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         while "pugeo_queue_patches 0.0" in metrics_of(server.log):
             time.sleep(0.02)
         write_keys(path, "ann", "bob")
-        refused = httpx2.post(url, content=ball(10_000), headers=bearer("ann"), timeout=60)
+        refused = httpx2.post(url, content=ball(20_000), headers=bearer("ann"), timeout=60)
         assert (refused.status_code, refused.json()["code"]) == (429, "share_exceeded")
         assert refused.json()["retryable"] is True
         assert int(refused.headers["retry-after"]) >= 1

@@ -34,7 +34,7 @@ def ball(count: int) -> bytes:
 
 
 # One worker has patches of the large one to compute for seconds.
-SMALL, LARGE = ball(3000), ball(30_000)
+SMALL, LARGE = ball(3000), ball(50_000)
 PUGEO = "from pugeo_model.cli import main; main()"
 
 
@@ -78,7 +78,7 @@ def test_sigterm_drains(launch: Any) -> None:
         accepted.join()
         assert accepted.response is not None
         assert accepted.response.status_code == 200
-        assert accepted.response.headers["pugeo-points-out"] == "60000"
+        assert accepted.response.headers["pugeo-points-out"] == "100000"
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,8 @@ def test_full_and_late(launch: Any) -> None:
     options = ("--queue-requests", "1", "--deadline-s", "4", "--workers", "1")
     with launch(*options) as server:
         server.wait_until_ready()
-        # 200,000 output points take one worker more than 4 s.
-        late = begun(server, ball(100_000))
+        # 600,000 output points take one worker more than 4 s.
+        late = begun(server, ball(300_000))
         full = httpx2.post(f"{server.url}/upsample", content=SMALL, timeout=60)
         assert (full.status_code, full.json()["code"]) == (503, "queue_full")
         assert 1 <= int(full.headers["retry-after"]) <= 120

@@ -196,6 +196,41 @@ def test_models_come_and_go(tmp_path: Path) -> None:
     assert served.default.own is None
 
 
+@pytest.mark.usefixtures("unbuilt")
+def test_weights_that_another_model_has_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A canary that became the default and was removed takes no weights from the default."""
+    canary = copy("fast", tmp_path, "next")
+    served, workers = Models(Settings(models_dir=tmp_path)), Workers()
+    copy("fast", tmp_path, "standard")
+    update(served, workers)
+    canary.unlink()
+    update(served, workers)
+    monkeypatch.setattr(models, "_now", lambda: 1e9)
+    update(served, workers)
+    assert [call for call, _ in workers.calls] == ["install"]
+    (tmp_path / "standard.safetensors").unlink()
+    update(served, workers)
+    monkeypatch.setattr(models, "_now", lambda: 2e9)
+    update(served, workers)
+    assert workers.calls[1:] == [("remove", weights.read_card("fast")["sha256"])]
+
+
+@pytest.mark.usefixtures("unbuilt")
+def test_a_file_that_comes_back(tmp_path: Path) -> None:
+    """A file that was moved away and back, unchanged, is a model again."""
+    path = copy("fast", tmp_path, "mine")
+    served, workers = Models(Settings(models_dir=tmp_path)), Workers()
+    path.rename(tmp_path / "away")
+    update(served, workers)
+    with pytest.raises(ProblemError):
+        served.named("mine")
+    (tmp_path / "away").rename(path)
+    update(served, workers)
+    assert served.named("mine").own is not None
+
+
 def test_a_share_of_the_requests_gets_the_canary() -> None:
     """Chance decides below the share, the header before chance, a name before both."""
     served = Models(Settings(canary=("fast", 0.25)))

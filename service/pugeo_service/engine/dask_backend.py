@@ -169,7 +169,8 @@ class DaskBackend:
         """Give weights to all workers, also to those that come later."""
         self._weights[weights.card["sha256"]] = weights
         if self._client is not None:
-            await self._client.register_plugin(ModelPlugin(weights, self._name))
+            with contextlib.suppress(OSError):  # `_connect` gives them to the next scheduler
+                await self._client.register_plugin(ModelPlugin(weights, self._name))
 
     async def remove(self, sha256: str) -> None:
         """Take weights away from all workers."""
@@ -258,7 +259,7 @@ class DaskBackend:
             _log.warning("retries are not counted", reason=str(error))
         else:
             self._client.subscribe_topic(TOPIC, self._count_retry)
-        for weights in self._weights.values():
+        for weights in list(self._weights.values()):
             await self._client.register_plugin(ModelPlugin(weights, self._name))
 
     def _count_retry(self, event: tuple[float, str]) -> None:

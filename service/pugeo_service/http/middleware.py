@@ -28,7 +28,7 @@ _log = structlog.stdlib.get_logger("pugeo.http")
 # Request ids of clients must be safe in logs, headers and file names.
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 # Addresses of webhooks may contain secrets.
-_SECRET = re.compile(r"(\bwebhook=)[^&]*")
+_WEBHOOK = re.compile(r"(\bwebhook=)[^&]*")
 _QUIET = frozenset({"/health", "/health/live", "/health/ready", "/metrics"})
 
 
@@ -136,7 +136,7 @@ class _Exchange:
             request_id=self._id,
             method=scope["method"],
             path=scope["path"],
-            query=_SECRET.sub(r"\1...", scope["query_string"].decode("latin-1")),
+            query=_WEBHOOK.sub(r"\1...", scope["query_string"].decode("latin-1")),
             status=self._status or 499,
             seconds=round(seconds, 4),
             bytes_out=self._sent,

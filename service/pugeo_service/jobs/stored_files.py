@@ -7,11 +7,11 @@ compared with the digest of the row before it is used or served.
 """
 
 import asyncio
+import functools
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import structlog
@@ -124,7 +124,7 @@ class StoredJobFiles(JobFiles):
     def input(self, job_id: str, size: int, sha256: str) -> StoredInput:
         """Return the input of a job."""
         path = self._inputs / job_id
-        fetch: Any = lambda: self._fetch(f"inputs/{job_id}", path)  # noqa: E731
+        fetch = functools.partial(self._fetch, f"inputs/{job_id}", path)
         return _FetchedInput(path, size, sha256, fetch)
 
     def result(self, job_id: str, size: int, sha256: str) -> Path:

@@ -11,7 +11,7 @@ import base64
 import hashlib
 import hmac
 import time
-from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
@@ -39,7 +39,7 @@ _POLL_S = 1.0
 _TIMEOUT_S = 15.0
 # Longer than an attempt, after which another process may take over.
 _CLAIM_S = 60.0
-_AT_ONCE = 8
+_AT_ONCE = 64
 _WAITS_S = (5.0, 60.0, 300.0, 1800.0, 7200.0, 18_000.0)
 """Seconds between attempts; after the last one, some 7.5 hours later, the webhook is given up."""
 _ORPHANS_S = 3600.0
@@ -63,44 +63,55 @@ class Webhooks:
         self._private = private
         self._telemetry = telemetry
 
-    async def run(self, now: Callable[[], float] = clock.now) -> None:
-        """Send webhooks until this is cancelled."""
+    async def run(self) -> None:
+        """Send webhooks until this is cancelled; one that gets no answer holds up no other."""
         cleaned = -_ORPHANS_S
+        sending: set[asyncio.Task[None]] = set()
         # No proxy of the environment: it would look the name up once more, somewhere else.
         async with httpx2.AsyncClient(trust_env=False, timeout=_TIMEOUT_S) as client:
-            while True:
-                try:
-                    if time.monotonic() - cleaned >= _ORPHANS_S:
-                        await self._database.write(webhook_rows.remove_orphans)
-                        cleaned = time.monotonic()
-                    due = await self._database.write(
-                        webhook_rows.claim, now(), now() + _CLAIM_S, _AT_ONCE
-                    )
-                    await asyncio.gather(*(self._send(client, each, now) for each in due))
-                except ProblemError:
-                    due = []  # logged by the database
-                except Exception:  # noqa: BLE001 - an unexpected error must not end the loop
-                    _log.exception("webhooks cannot be sent")
-                    due = []
-                if len(due) < _AT_ONCE:
+            try:
+                while True:
+                    with suppress(ProblemError):  # logged by the database
+                        if time.monotonic() - cleaned >= _ORPHANS_S:
+                            await self._database.write(webhook_rows.remove_orphans)
+                            cleaned = time.monotonic()
+                        for due in await self._claim(_AT_ONCE - len(sending)):
+                            task = asyncio.create_task(self._send(client, due))
+                            sending.add(task)
+                            task.add_done_callback(sending.discard)
                     await asyncio.sleep(_POLL_S)
+            finally:
+                for task in sending:
+                    task.cancel()
+                await asyncio.gather(*sending, return_exceptions=True)
 
-    async def _send(self, client: httpx2.AsyncClient, due: Due, now: Callable[[], float]) -> None:
+    async def _claim(self, room: int) -> list[Due]:
+        now = clock.now()
+        return await self._database.write(webhook_rows.claim, now, now + _CLAIM_S, room)
+
+    async def _send(self, client: httpx2.AsyncClient, due: Due) -> None:
         try:
-            found = await self._database.read(repository.find_many, [due.job_id])
-            reason = await self._attempt(client, due, found[0]) if found else None
+            with suppress(ProblemError):  # logged by the database; the webhook is due again later
+                found = await self._database.read(repository.find_many, [due.job_id])
+                reason = await self._attempt(client, due, found[0]) if found else None
+                await self._record(due, reason)
         except asyncio.CancelledError:
             # This process ends; the next one need not wait.
             await self._database.write(webhook_rows.postpone, due.job_id, due.attempts, 0.0)
             raise
+        except Exception:  # noqa: BLE001 - an unexpected error concerns one webhook
+            _log.exception("webhook cannot be sent", job=due.job_id)
+
+    async def _record(self, due: Due, reason: str | None) -> None:
+        """Store that a webhook arrived, or the reason why it did not."""
         if reason is None:
             await self._database.free(webhook_rows.remove, due.job_id)
             self._telemetry.webhooks.labels("delivered").inc()
         elif due.attempts < len(_WAITS_S):
-            later = now() + _WAITS_S[due.attempts]
-            await self._database.write(webhook_rows.postpone, due.job_id, due.attempts + 1, later)
+            attempts, later = due.attempts + 1, clock.now() + _WAITS_S[due.attempts]
+            await self._database.write(webhook_rows.postpone, due.job_id, attempts, later)
             self._telemetry.webhooks.labels("failed").inc()
-            _log.warning("webhook failed", job=due.job_id, reason=reason, attempt=due.attempts + 1)
+            _log.warning("webhook failed", job=due.job_id, reason=reason, attempt=attempts)
         else:
             await self._database.free(webhook_rows.remove, due.job_id)
             self._telemetry.webhooks.labels("given_up").inc()

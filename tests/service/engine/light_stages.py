@@ -21,6 +21,13 @@ def add_quickly(left: int, right: int) -> int:
     return left + right
 
 
+def has_weights(sha256: str) -> bool:
+    """Tell whether a front has sent weights to this worker."""
+    from pugeo_service.engine import model_store
+
+    return sha256 in model_store._sent
+
+
 def refuse() -> None:
     """Raise the error of a bad input."""
     from pugeo_model.errors import MalformedFileError

@@ -20,6 +20,7 @@ from tests.service.engine import light_stages as light
 from tests.service.engine.light_tasks import known, submit, until, until_quick, warm
 
 from pugeo_model.errors import MalformedFileError
+from pugeo_model.weights import Weights
 from pugeo_service.engine import dask_backend, dask_config
 from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.engine.errors import WorkerLostError
@@ -68,6 +69,19 @@ def play_shared(in_background: Run, tmp_path_factory: pytest.TempPathFactory) ->
             in_background(backend.stop())
 
 
+def test_results_feed_tasks(play: Play) -> None:
+    """Handles and lists of handles are replaced by results, also after their release."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        one = submit(backend, light.add, 1, 0)
+        two = submit(backend, light.add, one, [one, one])
+        three = submit(backend, light.add, two, np.float64(0.5))
+        backend.release([one, two])
+        assert await backend.fetch(three) == 3.5
+
+    play(scenario)
+
+
 def test_a_poison_task_and_its_bystanders(play: Play, tmp_path: Path) -> None:
     """A task that ends two workers fails; workers and results of other tasks are restored."""
 
@@ -100,6 +114,28 @@ def test_retries_are_counted(play: Play, tmp_path: Path) -> None:
         assert await backend.fetch(held) == "held"
         assert await backend.fetch(submit(backend, light.add, 1, 1, patches=7)) == 2
         await until(lambda: backend.retried_patches == 5)
+
+    play(scenario, workers=1)
+
+
+def test_weights_reach_workers_that_come_later(play: Play) -> None:
+    """Installed weights are on each worker, also on one that replaces another; removed ones not."""
+
+    async def scenario(backend: DaskBackend) -> None:
+        async def there() -> bool:
+            return bool(await backend.fetch(submit(backend, light.has_weights, "ab")))
+
+        assert not await there()
+        await backend.install(Weights({"sha256": "ab"}, b"weights"))
+        assert await there()
+        lost = backend.lost_workers
+        (pid,) = backend._pids().values()
+        os.kill(pid, signal.SIGKILL)
+        await until(lambda: backend.lost_workers > lost)
+        await warm(backend, 1)
+        assert await there()
+        await backend.remove("ab")
+        assert not await there()
 
     play(scenario, workers=1)
 
@@ -250,19 +286,6 @@ def test_a_stop_ends_no_workers_of_another_backend(play: Play, play_shared: Play
     play_shared(pid)
     shared, own, again = pids
     assert (again, psutil.pid_exists(own)) == (shared, False)
-
-
-def test_results_feed_tasks(play_shared: Play) -> None:
-    """Handles and lists of handles are replaced by results, also after their release."""
-
-    async def scenario(backend: DaskBackend) -> None:
-        one = submit(backend, light.add, 1, 0)
-        two = submit(backend, light.add, one, [one, one])
-        three = submit(backend, light.add, two, np.float64(0.5))
-        backend.release([one, two])
-        assert await backend.fetch(three) == 3.5
-
-    play_shared(scenario)
 
 
 def test_errors_of_a_stage_arrive(play_shared: Play) -> None:
