@@ -21,6 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,10 +201,10 @@ def _process(command: list[str], environment: dict[str, str]) -> Iterator["subpr
         process.wait(60)
 
 
-def _cost(processes: list[object]) -> Cost:
+def _cost(processes: list[Any]) -> Cost:
     seconds = transferred = 0.0
     for process in processes:
-        times, io = process.cpu_times(), process.io_counters()  # type: ignore[attr-defined]
+        times, io = process.cpu_times(), process.io_counters()
         seconds += times.user + times.system
         transferred += io.read_chars + io.write_chars
     return Cost(seconds, transferred)

@@ -64,6 +64,8 @@ def _copy(path: Path, target: Path) -> bool:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python deploy/backup_jobs.py FOLDER BACKUP")
     try:
         sys.stdout.write(main(Path(sys.argv[1]), Path(sys.argv[2])) + "\n")
     except (OSError, sqlite3.Error) as failure:

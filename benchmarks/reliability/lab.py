@@ -10,17 +10,17 @@ import shutil
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from benchmarks.reliability.processes import psutil
 
-__all__ = ["Host", "Lab", "missing"]
+__all__ = ["Host", "lab", "missing"]
 
 _NETWORK = "10.213.47"
 _PREFIX = "pugeo-"
+_BRIDGE = "pugeo-bridge"
 _PUGEO = "from pugeo_model.cli import main; main()"
 _END_S = 90.0
 
@@ -55,16 +55,16 @@ class Host:
 
     @property
     def runs(self) -> bool:
-        """Whether a command runs on it."""
+        """True while a command runs on it."""
         return self._process is not None and self._process.poll() is None
 
-    def connect(self, bridge: str) -> None:
+    def connect(self) -> None:
         """Make the namespace and its link to the bridge."""
         _ip("netns", "add", self._space)
         far = f"{self._link}-in"
         _ip("link", "add", self._link, "type", "veth", "peer", "name", far)
         _ip("link", "set", far, "netns", self._space, "name", "eth0")
-        _ip("link", "set", self._link, "master", bridge, "up")
+        _ip("link", "set", self._link, "master", _BRIDGE, "up")
         _ip("-n", self._space, "address", "add", f"{self.address}/24", "dev", "eth0")
         for device in ("lo", "eth0"):
             _ip("-n", self._space, "link", "set", device, "up")
@@ -120,50 +120,38 @@ class Host:
             return None
 
 
-class Lab:
-    """The network: hosts, a bridge, and this process at the bridge.
+@contextmanager
+def lab(folder: Path, names: list[str]) -> Iterator[dict[str, Host]]:
+    """Join hosts by a bridge, at which this process is too; remove all at the end.
 
     Args:
         folder: for the logs.
         names: of the hosts.
     """
-
-    def __init__(self, folder: Path, names: list[str]) -> None:
-        self.bridge = f"{_PREFIX}bridge"[:15]
-        self.hosts = {
-            name: Host(name, number, folder / f"{name}.log")
-            for number, name in enumerate(names, start=2)
-        }
-
-    def __enter__(self) -> Self:
-        self._remove()  # what an earlier run may have left
-        try:
-            _ip("link", "add", self.bridge, "type", "bridge")
-            _ip("address", "add", f"{_NETWORK}.1/24", "dev", self.bridge)
-            _ip("link", "set", self.bridge, "up")
-            for host in self.hosts.values():
-                host.connect(self.bridge)
-        except BaseException:
-            self._remove()
-            raise
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for host in self.hosts.values():
+    hosts = {
+        name: Host(name, number, folder / f"{name}.log")
+        for number, name in enumerate(names, start=2)
+    }
+    _remove(hosts)  # left by an earlier run
+    try:
+        _ip("link", "add", _BRIDGE, "type", "bridge")
+        _ip("address", "add", f"{_NETWORK}.1/24", "dev", _BRIDGE)
+        _ip("link", "set", _BRIDGE, "up")
+        for host in hosts.values():
+            host.connect()
+        yield hosts
+    finally:
+        for host in hosts.values():
             with suppress(Exception):
                 host.kill()
-        self._remove()
+        _remove(hosts)
 
-    def _remove(self) -> None:
-        for host in self.hosts.values():
-            host.disconnect()
-        with suppress(subprocess.CalledProcessError):
-            _ip("link", "delete", self.bridge)
+
+def _remove(hosts: dict[str, Host]) -> None:
+    for host in hosts.values():
+        host.disconnect()
+    with suppress(subprocess.CalledProcessError):
+        _ip("link", "delete", _BRIDGE)
 
 
 def _ip(*arguments: str) -> None:

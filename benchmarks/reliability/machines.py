@@ -18,7 +18,7 @@ from typing import Any
 import httpx2
 
 from benchmarks.reliability.clouds import Book, ask
-from benchmarks.reliability.lab import Lab, missing
+from benchmarks.reliability.lab import Host, lab, missing
 from benchmarks.reliability.service import http
 from benchmarks.reliability.verdict import Claim, verdict
 
@@ -30,6 +30,7 @@ _WAIT_S = 1800.0
 _NOT_READY_S = 2.0
 _AWAY_S = 8.0  # longer than fronts need to notice
 _PROBE_S = 0.05
+_PEM = ("ca", "cert", "key")
 
 
 @dataclass
@@ -65,14 +66,14 @@ def main(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="pugeo-") as folder:
         logs = options.keep or Path(folder)
         logs.mkdir(parents=True, exist_ok=True)
-        with Lab(logs, _HOSTS) as lab:
-            return asyncio.run(_Machines(options, lab, Path(folder)).run())
+        with lab(logs, _HOSTS) as hosts:
+            return asyncio.run(_Machines(options, hosts, Path(folder)).run())
 
 
 class _Machines:
-    def __init__(self, options: argparse.Namespace, lab: Lab, folder: Path) -> None:
+    def __init__(self, options: argparse.Namespace, hosts: dict[str, Host], folder: Path) -> None:
         self._options = options
-        self._lab = lab
+        self._hosts = hosts
         self._folder = folder
         self._book = Book()
         self._account = _Account()
@@ -92,7 +93,7 @@ class _Machines:
             "PUGEO_DEADLINE_S": "7200",
             "PUGEO_HOST": "0.0.0.0",  # noqa: S104 - within its namespace
         }
-        self._scheduler = f"tls://{lab.hosts['scheduler'].address}:8786"
+        self._scheduler = f"tls://{hosts['scheduler'].address}:8786"
 
     async def run(self) -> int:
         """Run all parts in order."""
@@ -103,7 +104,7 @@ class _Machines:
             await self._scheduler_cut()
             await self._scheduler_killed_and_front_killed()
             listed = await self._listed()
-            statuses = {name: self._lab.hosts[name].stop() for name in reversed(_HOSTS)}
+            statuses = {name: self._hosts[name].stop() for name in reversed(_HOSTS)}
         return self._report(listed, statuses)
 
     async def _start(self) -> None:
@@ -130,7 +131,7 @@ class _Machines:
         job = await self._submit("front1", "cut")
         await self._until_middle("front1", job)
         began = time.monotonic()
-        self._lab.hosts["worker2"].cut()
+        self._hosts["worker2"].cut()
         self._tell("worker2 is cut off; worker3 joins")
         self._start_worker("worker3")
         await self._until(lambda: self._workers("front2", 1), "the cut host is noticed")
@@ -140,18 +141,18 @@ class _Machines:
         await self._finish("front1", job, "cut")
         self._note("job with a host cut off, from the cut", began)
         began = time.monotonic()
-        self._lab.hosts["worker2"].mend()
+        self._hosts["worker2"].mend()
         await self._until_workers(3)
         self._note("from the link up again until the cut host works", began)
 
     async def _scheduler_cut(self) -> None:
         """Cut the scheduler off for some seconds."""
         began = time.monotonic()
-        self._lab.hosts["scheduler"].cut()
+        self._hosts["scheduler"].cut()
         await self._both_not_ready("scheduler cut off", began)
         await asyncio.sleep(_AWAY_S)
         began = time.monotonic()
-        self._lab.hosts["scheduler"].mend()
+        self._hosts["scheduler"].mend()
         await self._until_workers(3)
         self._note("from the scheduler's link up again until all work", began)
 
@@ -160,7 +161,7 @@ class _Machines:
         job = await self._submit("front1", "lost")
         await self._until_middle("front1", job)
         began = time.monotonic()
-        self._lab.hosts["scheduler"].kill()
+        self._hosts["scheduler"].kill()
         self._tell("the scheduler is killed")
         await self._both_not_ready("scheduler killed", began)
         await asyncio.sleep(_AWAY_S)
@@ -172,7 +173,7 @@ class _Machines:
         self._note("until the job is in its middle again", began)
         runner = await self._runner(job)
         began = time.monotonic()
-        self._lab.hosts[runner].kill()
+        self._hosts[runner].kill()
         other = "front2" if runner == "front1" else "front1"
         self._tell(f"{runner}, which runs the job, is killed")
         attempts = self._account.jobs["lost"]["attempts"]
@@ -186,12 +187,12 @@ class _Machines:
         self._note("until the killed front serves again", began)
 
     def _start_scheduler(self) -> None:
-        host = self._lab.hosts["scheduler"]
+        host = self._hosts["scheduler"]
         host.start("scheduler", "--host", host.address, **self._environment)
 
     def _start_worker(self, name: str) -> None:
         environment = {**self._environment, "PUGEO_SCHEDULER": self._scheduler}
-        self._lab.hosts[name].start("worker", "--workers", "1", **environment)
+        self._hosts[name].start("worker", "--workers", "1", **environment)
 
     def _start_front(self, name: str) -> None:
         environment = {
@@ -206,7 +207,7 @@ class _Machines:
             environment["PUGEO_JOBS_STORE"] = self._options.store
         if self._options.database:
             environment["PUGEO_DATABASE_URL"] = self._options.database
-        self._lab.hosts[name].start("serve", "--port", "8000", **environment)
+        self._hosts[name].start("serve", "--port", "8000", **environment)
 
     async def _submit(self, front: str, name: str) -> str:
         answer = await self._client.post(
@@ -264,7 +265,7 @@ class _Machines:
         self._account.jobs["lost"] = told.json()
         last: dict[str, str] = {}
         for name in ("front1", "front2"):
-            for line in self._lab.hosts[name].log.read_text("utf-8").splitlines():
+            for line in self._hosts[name].log.read_text("utf-8").splitlines():
                 if line.startswith("{") and '"job started"' in line and job in line:
                     last[name] = json.loads(line)["timestamp"]
         return max(last, key=lambda name: last[name])
@@ -312,10 +313,10 @@ class _Machines:
         raise RuntimeError(f"not within {_WAIT_S:g} s: {what}")
 
     def _alive(self) -> list[str]:
-        return [name for name in ("front1", "front2") if self._lab.hosts[name].runs]
+        return [name for name in ("front1", "front2") if self._hosts[name].runs]
 
     def _url(self, front: str) -> str:
-        return f"http://{self._lab.hosts[front].address}:8000"
+        return f"http://{self._hosts[front].address}:8000"
 
     def _note(self, label: str, began: float) -> None:
         self._account.seconds[label] = time.monotonic() - began
@@ -356,6 +357,3 @@ class _Machines:
         raw = {"options": {k: str(v) for k, v in vars(self._options).items()}}
         cores = os.sched_getaffinity(0)
         return verdict("machines", self._options.out, claims, figures, raw, cores)
-
-
-_PEM = ("ca", "cert", "key")

@@ -57,7 +57,7 @@ def missing(base: str | None) -> str | None:
 
 
 def has(image: str) -> bool:
-    """Whether an image of this name was built."""
+    """Return True if an image of this name was built."""
     return image in buildah("images", "--format", "{{.Name}}:{{.Tag}}", output=True).split()
 
 

@@ -343,7 +343,7 @@ class Settings(BaseSettings):
 
     @property
     def fronts_share_no_folder(self) -> bool:
-        """Whether files and table of jobs are elsewhere, so that fronts need no common folder."""
+        """True if files and table of jobs are elsewhere, so that fronts need no common folder."""
         return self.jobs_store is not None and self.database_url is not None
 
     @property

@@ -219,7 +219,7 @@ def test_the_network_lets_through_what_is_needed(manifests: list[Manifest]) -> N
 
 
 def test_a_database_may_be_reached(everything: list[Manifest]) -> None:
-    """Where fronts have a database, they get its URL from the Secret and may connect to it."""
+    """Fronts with a database get its URL from the Secret and may connect to it."""
     rules = of(everything, "NetworkPolicy")["scans-pugeo-front"]["spec"]["egress"]
     assert {"ports": [{"port": 5432}]} in rules
     assert {"ports": [{"port": 4318}]} in rules

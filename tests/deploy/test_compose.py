@@ -39,7 +39,7 @@ def test_containers_set_what_the_service_knows(root: Path, services: dict[str, A
 
 
 def test_no_variable_of_compose_is_taken_for_a_mistake(root: Path) -> None:
-    """Who exports the variables of .env.example gets no warning of an unknown setting."""
+    """The variables of .env.example, exported, cause no warning of an unknown setting."""
     text = (root / ".env.example").read_text("utf-8")
     assert unknown_names(re.findall(r"^#?(\w+)=", text, re.MULTILINE)) == {}
 
@@ -74,7 +74,7 @@ def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None
 
 
 def test_profiles_start_what_they_need(services: dict[str, Any]) -> None:
-    """What a service waits for is started with it, or may be missing."""
+    """Services that another one waits for are started with it, or may be missing."""
     for name, service in services.items():
         profiles = set(service.get("profiles", ()))
         needs = service.get("depends_on", {})

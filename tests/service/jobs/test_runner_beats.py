@@ -42,7 +42,7 @@ def play(tmp_path: Path, database_url: str | None) -> Callable[[Scenario], None]
 
 
 async def watched(watcher: RunnerBeats, seconds: int) -> list[str]:
-    """What a process says of the other two after so many seconds, in which it looks each second."""
+    """Return the others that a process calls ended after some seconds of a look each second."""
     for _ in range(seconds):
         clock.now += 1.0
         found = await watcher.ended(["one", "two"])

@@ -156,7 +156,7 @@ def test_a_store_that_fails(
 def test_orphans_are_swept(
     open_house: Open, settings: Any, monkeypatch: pytest.MonkeyPatch, store_url: str
 ) -> None:
-    """What no job needs is removed once it is old, and not before; what one needs stays."""
+    """Files that no job needs are removed once they are old, and not before; others stay."""
 
     async def scenario() -> None:
         async with open_house(**settings("one")) as one:

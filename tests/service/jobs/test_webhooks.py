@@ -118,7 +118,7 @@ def test_a_webhook_is_repeated(play: Any, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_webhook_survives_a_restart(open_house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What one process could not send, the next one sends."""
+    """A webhook that one process could not send is sent by the next one."""
     monkeypatch.setattr("pugeo_service.jobs.webhooks._WAITS_S", (0.01,) * 1000)
     receiver = Receiver()
     given = {"webhook_secret": SECRET, "webhook_private": True}
