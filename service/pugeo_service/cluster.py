@@ -2,7 +2,6 @@
 """The processes of a cluster beside the fronts: ``pugeo scheduler`` and ``pugeo worker``."""
 
 import asyncio
-import os
 import signal
 import sys
 import threading
@@ -12,7 +11,7 @@ from typing import Any
 
 import structlog
 
-from pugeo_service.engine.children import end_children
+from pugeo_service.engine.children import end_at_once
 from pugeo_service.engine.scheduler_host import run_scheduler
 from pugeo_service.engine.worker_host import WorkerHost
 from pugeo_service.settings import Settings
@@ -80,7 +79,7 @@ def _until_signal(run: Callable[[asyncio.Event], Awaitable[int]]) -> int:
             ending.start()
         loop.call_soon_threadsafe(stop.set)
 
-    ending = threading.Timer(_END_S, _end_anyway)
+    ending = threading.Timer(_END_S, end_at_once)
     ending.daemon = True
     thread = threading.Thread(target=begin_loop, name="cluster")
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -89,9 +88,3 @@ def _until_signal(run: Callable[[asyncio.Event], Awaitable[int]]) -> int:
     thread.join()
     ending.cancel()
     return status[0] if status else 1
-
-
-def _end_anyway() -> None:
-    """End this process and its workers at once."""
-    _log.error("the process did not end in time; it is ended", workers=end_children())
-    os._exit(1)

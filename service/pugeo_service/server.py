@@ -19,7 +19,7 @@ from prometheus_client import make_asgi_app
 from pugeo_model.errors import BadOptionError
 from pugeo_service.app import create_app
 from pugeo_service.container import Service
-from pugeo_service.engine.children import end_children
+from pugeo_service.engine.children import end_at_once
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.models import Models
@@ -64,7 +64,7 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, _frame: FrameType | None) -> None:
         if self._stopping is None:
             # Whatever hangs, the process ends.
-            self._stopping = threading.Timer(self._end_s, _end_anyway)
+            self._stopping = threading.Timer(self._end_s, end_at_once)
             self._stopping.daemon = True
             self._stopping.start()
         if self._service.admission.draining:
@@ -153,12 +153,6 @@ def serve(settings: Settings) -> int:
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
     return 1 if server.failed else 0
-
-
-def _end_anyway() -> None:
-    """End this process and its workers at once."""
-    _log.error("the service did not end in time; it is ended", workers=end_children())
-    os._exit(1)
 
 
 def _connections(settings: Settings) -> int:

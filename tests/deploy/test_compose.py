@@ -67,9 +67,12 @@ def test_containers_are_locked_down(services: dict[str, Any]) -> None:
 
 def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None:
     """Secrets are passed on without a default, because an empty value is refused."""
-    secret = ("PUGEO_API_KEYS", "PUGEO_DATABASE_URL", "PUGEO_CORS_ORIGINS")
+    optional = (
+        "API_KEYS", "DATABASE_URL", "CORS_ORIGINS", "MODELS_DIR", "CANARY", "JOBS_STORE",
+        "WEBHOOK_SECRET",
+    )  # fmt: skip
     for front in ("api", "front"):
-        for name in (*secret, "OTEL_EXPORTER_OTLP_ENDPOINT"):
+        for name in (*(f"PUGEO_{each}" for each in optional), "OTEL_EXPORTER_OTLP_ENDPOINT"):
             assert services[front]["environment"][name] is None
 
 

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End of worker processes that may hang."""
+"""End of this process and of worker processes, which may hang."""
 
 import contextlib
+import os
 from collections.abc import Iterable
 
 import psutil
+import structlog
 
-__all__ = ["end_children", "end_processes"]
+__all__ = ["end_at_once", "end_children", "end_processes"]
+
+_log = structlog.stdlib.get_logger("pugeo.service")
 
 
 def end_processes(processes: Iterable[psutil.Process]) -> None:
@@ -24,6 +28,12 @@ def end_children() -> int:
     workers = [each for each in psutil.Process().children(recursive=True) if _is_worker(each)]
     end_processes(workers)
     return len(workers)
+
+
+def end_at_once() -> None:
+    """End this process with status 1, and its workers, whatever hangs; the log has a line."""
+    _log.error("the process did not end in time; it is ended", workers=end_children())
+    os._exit(1)
 
 
 def _is_worker(process: psutil.Process) -> bool:
