@@ -128,11 +128,8 @@ def test_weights_reach_workers_that_come_later(play: Play) -> None:
         assert not await there()
         await backend.install(Weights({"sha256": "ab"}, b"weights"))
         assert await there()
-        lost = backend.lost_workers
-        (pid,) = backend._pids().values()
-        os.kill(pid, signal.SIGKILL)
-        await until(lambda: backend.lost_workers > lost)
-        await warm(backend, 1)
+        os.kill(*backend._pids().values(), signal.SIGKILL)
+        await until(lambda: backend.lost_workers == 1)
         assert await there()
         await backend.remove("ab")
         assert not await there()
