@@ -26,11 +26,11 @@ from pugeo_model.upsampler import Upsampler
 
 __all__ = ["Ratios", "main"]
 
-_ROUNDS = 3
+_ROUNDS = 2
 _PRODUCTS_S = 0.2
 _UNITS = 4.0  # times the float32 rate: vector instructions make it twice, matrix units 8 times
-_SMALL, _LARGE = (4_000, 4), (16_000, 4)  # points, output points an input point
-_DENSE = (4_000, 16)
+_SMALL, _LARGE = (3_000, 4), (12_000, 4)  # points, output points an input point
+_DENSE = (3_000, 16)
 # One patch each, filled up to the same 640 rows: all that is new in each is its size.
 _SIZES = range(601, 641, 5)
 
@@ -40,7 +40,7 @@ class Ratios:
     """The ratios that are compared.
 
     Attributes:
-        linearity: output points a second at 16,000 input points, over that at 4,000.
+        linearity: output points a second at 12,000 input points, over that at 3,000.
         density: time at R=16 over time at R=4.
         rest: time of preparing, merging and finishing over that of the network, at R=4.
         novelty: time of the network on a cloud of a size that it has not met, over its time on the

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from pugeo_model.kernel_cache import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[1]
+# Read when torch is loaded, here and in the processes that tests start. Threads of several
+# processes wait for each other on busy cores: a small cloud then takes ten times the processor.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 _ORDER = (
     "tests/service/engine/test_engine.py",

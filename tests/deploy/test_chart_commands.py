@@ -15,6 +15,8 @@ import httpx2
 import psutil
 import pytest
 import yaml
+from tests.free_port import free_port
+from tests.http_client import HTTP
 
 from pugeo_client import Client
 
@@ -36,9 +38,7 @@ class Cluster:
 
 
 @pytest.fixture
-def cluster(
-    root: Path, tmp_path: Path, _kernels: None, free_port: Callable[[], int]
-) -> Iterator[Cluster]:
+def cluster(root: Path, tmp_path: Path, _kernels: None) -> Iterator[Cluster]:
     """Scheduler, worker and front as the chart starts them; only ports and folders differ."""
     folders = {f"/{name}": tmp_path / name for name in ("certificates", "spool", "jobs")}
     for folder in folders.values():
@@ -103,7 +103,7 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 def ready(url: str) -> bool:
     with contextlib.suppress(httpx2.HTTPError):
-        return bool(httpx2.get(f"{url}/health/ready").status_code == 200)
+        return bool(HTTP.get(f"{url}/health/ready").status_code == 200)
     return False
 
 
@@ -117,7 +117,7 @@ def wait_until(true: Callable[[], bool]) -> None:
 
 def workers(cluster: Cluster) -> list[str]:
     """Lines of the metrics that tell the memory of a worker."""
-    text = httpx2.get(f"http://127.0.0.1:{cluster.ports[9100]}/metrics").text
+    text = HTTP.get(f"http://127.0.0.1:{cluster.ports[9100]}/metrics").text
     return [line for line in text.splitlines() if line.startswith("pugeo_worker_memory_bytes{")]
 
 

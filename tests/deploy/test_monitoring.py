@@ -17,6 +17,8 @@ from typing import Any
 import httpx2
 import pytest
 import yaml
+from tests.free_port import free_port
+from tests.http_client import HTTP
 
 from pugeo_service.observability.telemetry import Readings, Telemetry, WorkerUse
 
@@ -194,7 +196,6 @@ def wait_until(true: Callable[[], bool], told: Path, seconds: float = 60.0) -> N
 def test_metrics_are_sent_on_where_a_url_is_set(
     root: Path,
     tmp_path: Path,
-    free_port: Callable[[], int],
     opened: contextlib.ExitStack,
     sent: bool,
 ) -> None:
@@ -240,7 +241,7 @@ def test_metrics_are_sent_on_where_a_url_is_set(
 
     def value(port: int) -> list[str]:
         query = f"http://127.0.0.1:{port}/api/v1/query?query=pugeo_queue_patches"
-        answer = httpx2.get(query)
+        answer = HTTP.get(query)
         # Prometheus answers before it has read its data.
         found = answer.json()["data"]["result"] if answer.status_code == 200 else []
         return [each["value"][1] for each in found]

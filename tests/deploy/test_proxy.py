@@ -21,6 +21,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from tests.free_port import free_port
 
 TRAEFIK = shutil.which("traefik", path=str(Path(sys.executable).parent)) or shutil.which("traefik")
 CONNECTIONS, REQUESTS = 6, 3
@@ -113,9 +114,7 @@ def upstream() -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def running(
-    files: Path, folder: Path, free_port: Callable[[], int], **environment: str
-) -> Iterator[Proxy]:
+def running(files: Path, folder: Path, **environment: str) -> Iterator[Proxy]:
     """The proxy; only ports, folders and the authority differ from the committed files."""
     ports = {number: free_port() for number in (8080, 8082, 8443, 8444)}
     certificate = write_certificate(folder)
@@ -145,16 +144,12 @@ def running(
 
 
 @pytest.fixture(scope="module")
-def proxy(
-    root: Path, tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]
-) -> Iterator[Proxy]:
+def proxy(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxy]:
     """The proxy in front of one upstream, with a certificate from a folder."""
     folder = tmp_path_factory.mktemp("proxy")
     with (
         upstream() as port,
-        running(
-            root / "deploy/proxy", folder, free_port, PUGEO_UPSTREAMS=f"http://127.0.0.1:{port}"
-        ) as found,
+        running(root / "deploy/proxy", folder, PUGEO_UPSTREAMS=f"http://127.0.0.1:{port}") as found,
     ):
         told = (folder / "log").read_text("utf-8")
         assert '"level":"error"' not in told, told
@@ -253,29 +248,25 @@ def test_requests_of_an_address_are_bounded(proxy: Proxy) -> None:
     assert sorted(statuses) == [200] * REQUESTS + [429]
 
 
-def test_a_front_that_is_gone_costs_no_request(
-    root: Path, tmp_path: Path, free_port: Callable[[], int]
-) -> None:
+def test_a_front_that_is_gone_costs_no_request(root: Path, tmp_path: Path) -> None:
     """Of two fronts one refuses connections: every request is answered by the other."""
     with upstream() as port:
         upstreams = f"http://127.0.0.1:{free_port()},http://127.0.0.1:{port}"
         files = root / "deploy/proxy"
         with (
-            running(files, tmp_path, free_port, PUGEO_UPSTREAMS=upstreams) as proxy,
+            running(files, tmp_path, PUGEO_UPSTREAMS=upstreams) as proxy,
             proxy.client() as client,
         ):
             statuses = [client.post("/", content=b"cloud").status_code for _ in range(20)]
     assert statuses == [200] * 20
 
 
-def test_a_public_name_alone_is_served(
-    root: Path, tmp_path: Path, free_port: Callable[[], int]
-) -> None:
+def test_a_public_name_alone_is_served(root: Path, tmp_path: Path) -> None:
     """With PUGEO_DOMAIN an authority is asked for a certificate, and other names are not found."""
     with upstream() as port:
         given = {"PUGEO_UPSTREAMS": f"http://127.0.0.1:{port}", "PUGEO_DOMAIN": "localhost"}
         with (
-            running(root / "deploy/proxy", tmp_path, free_port, **given) as proxy,
+            running(root / "deploy/proxy", tmp_path, **given) as proxy,
             proxy.client(trusting=True) as client,
         ):
             assert client.get("/").status_code == 200

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import uvicorn
 from numpy.typing import NDArray
+from tests.http_client import HTTP
 
 from pugeo_client import Client
 from pugeo_model.cli.local import run_here
@@ -135,7 +136,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     thread.start()
     url = f"http://127.0.0.1:{listener.getsockname()[1]}"
     end = time.monotonic() + 60
-    while httpx2.get(f"{url}/health/ready", timeout=60).status_code != 200:
+    while HTTP.get(f"{url}/health/ready", timeout=60).status_code != 200:
         assert time.monotonic() < end
         time.sleep(0.05)
     yield url

@@ -14,13 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import pytest
+from tests.http_client import HTTP
 
 # Comes with Dask, without types.
 psutil: Any = importlib.import_module("psutil")
 
 _READY_S = 200.0
+_SLOW_SERVICE = Path(__file__).with_name("slow_service.py")
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Server:
         """Wait until /health/ready answers 200."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self.process.poll() is None:
-            if httpx2.get(f"{self.url}/health/ready", timeout=60).status_code == 200:
+            if HTTP.get(f"{self.url}/health/ready", timeout=60).status_code == 200:
                 return
             time.sleep(0.1)
         pytest.fail(f"not ready after {seconds:g} s:\n{self.log.read_text()[-4000:]}")
@@ -61,7 +62,7 @@ class Server:
 
     def metric(self, sample: str) -> float:
         """Value of a sample of /metrics, 0 if it does not exist yet."""
-        for line in httpx2.get(f"{self.url}/metrics", timeout=60).text.splitlines():
+        for line in HTTP.get(f"{self.url}/metrics", timeout=60).text.splitlines():
             name, _, value = line.rpartition(" ")
             if name == sample:
                 return float(value)
@@ -88,9 +89,11 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
     Args:
         log: file for its stderr.
         options: command line options.
-        environment: additional environment variables.
+        environment: additional environment variables; ``SLOW_S`` stands for the seconds that the
+            network takes at least for each patch of a cloud.
     """
-    command = [sys.executable, "-m", "pugeo_service", "--port", "0", *options]
+    program = [str(_SLOW_SERVICE)] if "SLOW_S" in environment else ["-m", "pugeo_service"]
+    command = [sys.executable, *program, "--port", "0", *options]
     with log.open("w") as stderr:
         process = subprocess.Popen(
             command,
@@ -118,7 +121,7 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
 
 @pytest.fixture
 def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
-    """Starts a separate service: ``with launch("--workers", "1") as server``."""
+    """Starts a separate service: ``with launch("--workers", "1", SLOW_S="0.1") as server``."""
     return partial(launched, tmp_path / "server.log")
 
 
@@ -128,6 +131,15 @@ def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     with launched(
         tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline"
     ) as running:
+        running.wait_until_ready()
+        yield running
+
+
+@pytest.fixture(scope="module")
+def slow_server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service whose two workers take 0.4 s for each patch, with 32 MiB a body."""
+    limits = ("--max-body-bytes", str(32 << 20), "--max-points", "300000")
+    with launched(tmp_path_factory.mktemp("slow") / "server.log", *limits, SLOW_S="0.4") as running:
         running.wait_until_ready()
         yield running
 

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-import httpx2
 import numpy as np
 import pytest
+from tests.http_client import HTTP
 
 from pugeo_client import AsyncClient, Client
 from pugeo_client.errors import GoneError, UnprocessableError
@@ -48,8 +48,6 @@ def ball(count: int) -> bytes:
 
 
 SMALL, MIDDLE, LARGE = ball(1500), ball(9000), ball(100_000)
-# One worker takes as long for it as two take for the large one.
-HALF = ball(50_000)
 # It takes more than a second on any machine; progress is stored every half second.
 LONG = ball(40_000)
 
@@ -70,20 +68,20 @@ def ended(workers: list[Any]) -> None:
 def submit(server: Server, body: bytes, query: str = "?R=2", key: str | None = None) -> str:
     """Submit a job and return its id."""
     headers = {} if key is None else {"Idempotency-Key": key}
-    answer = httpx2.post(f"{server.url}/jobs{query}", content=body, headers=headers, timeout=60)
+    answer = HTTP.post(f"{server.url}/jobs{query}", content=body, headers=headers, timeout=60)
     assert answer.status_code in {200, 202}, answer.text
     return str(answer.json()["id"])
 
 
 def state(server: Server, job_id: str) -> str:
     """The state of a job."""
-    return str(httpx2.get(f"{server.url}/jobs/{job_id}", timeout=30).json()["state"])
+    return str(HTTP.get(f"{server.url}/jobs/{job_id}", timeout=30).json()["state"])
 
 
 def finish(server: Server, job_id: str) -> bytes:
     """Wait for the result of a job."""
     eventually(lambda: state(server, job_id) in {"succeeded", "failed"})
-    answer = httpx2.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
+    answer = HTTP.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
     assert answer.status_code == 200, answer.text
     return answer.content
 
@@ -96,7 +94,7 @@ def begun(server: Server) -> Iterator[str]:
     try:
         yield job_id
     finally:
-        httpx2.delete(f"{server.url}/jobs/{job_id}", timeout=30)
+        HTTP.delete(f"{server.url}/jobs/{job_id}", timeout=30)
 
 
 @pytest.mark.parametrize(
@@ -129,9 +127,9 @@ def test_killed_at_any_moment(
         last.wait_until_ready()
         for name, (body, query) in clouds.items():
             assert len(ids[name]) == 1
-            expected = httpx2.post(f"{server.url}/upsample{query}", content=body, timeout=60)
+            expected = HTTP.post(f"{server.url}/upsample{query}", content=body, timeout=60)
             assert finish(last, next(iter(ids[name]))) == expected.content
-        assert len(httpx2.get(f"{last.url}/jobs", timeout=60).json()["jobs"]) == len(clouds)
+        assert len(HTTP.get(f"{last.url}/jobs", timeout=60).json()["jobs"]) == len(clouds)
         eventually(lambda: not list((tmp_path / "jobs" / "inputs").iterdir()))
         assert list((tmp_path / "jobs" / "parts").iterdir()) == []
         assert last.stop() == 0
@@ -140,11 +138,12 @@ def test_killed_at_any_moment(
 def test_a_drain_queues_jobs_again_and_ends_streams(launch: Any, tmp_path: Path) -> None:
     """SIGTERM ends streams and the process with status 0; the job is finished after a restart."""
     folder = str(tmp_path / "jobs")
-    with launch("--workers", "1", "--drain-s", "300", PUGEO_JOBS_DIR=folder) as one:
+    options = ("--workers", "1", "--drain-s", "300")
+    with launch(*options, SLOW_S="0.5", PUGEO_JOBS_DIR=folder) as one:
         one.wait_until_ready()
-        job_id = submit(one, HALF)
+        job_id = submit(one, ball(14_000))
         eventually(lambda: one.metric("pugeo_queue_patches") > 4)
-        with httpx2.stream("GET", f"{one.url}/jobs/{job_id}/events", timeout=60) as events:
+        with HTTP.stream("GET", f"{one.url}/jobs/{job_id}/events", timeout=60) as events:
             lines = events.iter_lines()
             assert next(lines).startswith("retry:")
             one.process.send_signal(signal.SIGTERM)
@@ -154,8 +153,8 @@ def test_a_drain_queues_jobs_again_and_ends_streams(launch: Any, tmp_path: Path)
     with launch("--workers", "1", PUGEO_JOBS_DIR=folder) as other:
         other.wait_until_ready()
         dense = formats.read(io.BytesIO(finish(other, job_id)), format="ply")
-        assert len(dense.points) == 100_000
-        job = httpx2.get(f"{other.url}/jobs/{job_id}", timeout=60).json()
+        assert len(dense.points) == 28_000
+        job = HTTP.get(f"{other.url}/jobs/{job_id}", timeout=60).json()
         assert job["attempts"] == 1
 
 
@@ -163,7 +162,7 @@ def test_events_and_ranges(server: Server) -> None:
     """Events of a job until its end, and its result whole, in ranges, or not modified."""
     job_id = submit(server, LONG, "?R=4")
     names, last = [], {}
-    with httpx2.stream("GET", f"{server.url}/jobs/{job_id}/events", timeout=100) as events:
+    with HTTP.stream("GET", f"{server.url}/jobs/{job_id}/events", timeout=100) as events:
         for line in events.iter_lines():
             field, _, value = line.partition(": ")
             if field == "event":
@@ -176,29 +175,29 @@ def test_events_and_ranges(server: Server) -> None:
     assert last["state"] == "succeeded"
     assert last["report"]["points_out"] == 160_000
     url = f"{server.url}/jobs/{job_id}/result"
-    whole = httpx2.get(url, timeout=60)
+    whole = HTTP.get(url, timeout=60)
     etag = whole.headers["etag"]
     assert etag == f'"{hashlib.sha256(whole.content).hexdigest()}"'
     parts = [
-        httpx2.get(
+        HTTP.get(
             url, headers={"Range": f"bytes={start}-{start + 999_999}", "If-Range": etag}, timeout=60
         )
         for start in range(0, len(whole.content), 1_000_000)
     ]
     assert {part.status_code for part in parts} == {206}
     assert b"".join(part.content for part in parts) == whole.content
-    assert httpx2.get(url, headers={"If-None-Match": etag}, timeout=60).status_code == 304
-    outside = httpx2.get(url, headers={"Range": f"bytes={len(whole.content)}-"}, timeout=60)
+    assert HTTP.get(url, headers={"If-None-Match": etag}, timeout=60).status_code == 304
+    outside = HTTP.get(url, headers={"Range": f"bytes={len(whole.content)}-"}, timeout=60)
     assert outside.status_code == 416
 
 
 def test_a_cancelled_job_frees_its_patches(server: Server) -> None:
     """The patches of a cancelled job leave the queue, and its result is a 410."""
     with begun(server) as job_id:
-        answer = httpx2.delete(f"{server.url}/jobs/{job_id}", timeout=30)
+        answer = HTTP.delete(f"{server.url}/jobs/{job_id}", timeout=30)
         assert answer.json()["state"] == "cancelled"
         eventually(lambda: server.metric("pugeo_queue_patches") == 0)
-        gone = httpx2.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
+        gone = HTTP.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
         assert (gone.status_code, gone.json()["code"]) == (410, "job_cancelled")
 
 
@@ -206,7 +205,7 @@ def test_jobs_do_not_hold_up_small_requests(server: Server) -> None:
     """Small requests are answered while a large job is running."""
     with begun(server) as job_id:
         for _ in range(3):
-            answer = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=300)
+            answer = HTTP.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=300)
             assert answer.status_code == 200
         assert state(server, job_id) == "running"
 

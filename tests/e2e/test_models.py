@@ -10,6 +10,7 @@ from typing import Any
 import httpx2
 import numpy as np
 import pytest
+from tests.http_client import HTTP
 
 from pugeo_client import Client
 from pugeo_model import Cloud, Upsampler, formats, weights
@@ -31,7 +32,7 @@ def answer(server: Any, cloud: Cloud, query: str, **headers: str) -> httpx2.Resp
     formats.write(cloud, body, format="ply")
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     url = f"{server.url}/upsample?R=2{query}"
-    response = httpx2.post(url, content=body.getvalue(), headers=named, timeout=120)
+    response = HTTP.post(url, content=body.getvalue(), headers=named, timeout=120)
     assert response.status_code == 200, response.text
     return response
 
@@ -50,7 +51,7 @@ def test_a_request_names_its_model(server: Any, cloud: Cloud) -> None:
         assert response.content == by_the_library(name, cloud)
         assert response.headers["pugeo-model"] == name
         assert response.headers["pugeo-model-sha256"] == weights.read_card(name)["sha256"]
-    refused = httpx2.post(f"{server.url}/upsample?model=huge", content=b"1 2 3")
+    refused = HTTP.post(f"{server.url}/upsample?model=huge", content=b"1 2 3")
     assert (refused.status_code, refused.json()["code"]) == (422, "unknown_model")
     assert refused.json()["allowed"] == ["fast", "scans", "standard"]
 
@@ -60,7 +61,7 @@ def test_the_header_chooses_the_canary(server: Any, cloud: Cloud) -> None:
     chosen = {wish: answer(server, cloud, "", pugeo_canary=wish) for wish in ("yes", "no", "")}
     models = {wish: response.headers["pugeo-model"] for wish, response in chosen.items()}
     assert models == {"yes": "fast", "no": "standard", "": "standard"}
-    listed = httpx2.get(f"{server.url}/models").json()
+    listed = HTTP.get(f"{server.url}/models").json()
     assert (listed["default"], listed["canary"]) == ("standard", {"name": "fast", "share": 0})
 
 
@@ -77,7 +78,7 @@ def test_weights_are_replaced_while_the_service_runs(server: Any, cloud: Cloud) 
                 source = weights.locate(released).with_suffix(suffix)
                 shutil.copy(source, folder / f"mine{suffix}")
             end = time.monotonic() + 120
-            while httpx2.get(f"{server.url}/models/mine").json().get("sha256") != sha256:
+            while HTTP.get(f"{server.url}/models/mine").json().get("sha256") != sha256:
                 assert time.monotonic() < end, server.log.read_text()[-4000:]
                 time.sleep(0.1)
             wanted = by_the_library(released, cloud)

@@ -8,6 +8,7 @@ import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.http_client import HTTP
 
 from pugeo_model import Cloud, formats
 
@@ -119,19 +120,19 @@ def test_bad_input(server: Server, name: str) -> None:
     """Bad input gets a problem, and the next good request is served."""
     body, headers, query, status = CASES[name]
     url = f"{server.url}/upsample"
-    response = httpx2.post(url + query, content=body, headers=headers, timeout=30)
+    response = HTTP.post(url + query, content=body, headers=headers, timeout=30)
     check_problem(response, status)
-    good = httpx2.post(f"{url}?R=2", content=ply(GOOD), timeout=60)
+    good = HTTP.post(f"{url}?R=2", content=ply(GOOD), timeout=60)
     assert good.status_code == 200, good.text
 
 
 def test_faults_of_the_input_are_no_tracebacks(server: Any) -> None:
     """The log has a line for a refused cloud, and neither a traceback nor its arguments."""
     before = len(server.log.read_text())
-    refused = httpx2.post(f"{server.url}/upsample", content=ply(LINE), timeout=60)
+    refused = HTTP.post(f"{server.url}/upsample", content=ply(LINE), timeout=60)
     assert refused.status_code == 422
     # The worker writes its own lines; a second answer means that those of the first are there.
-    assert httpx2.post(f"{server.url}/upsample", content=ply(GOOD), timeout=60).status_code == 200
+    assert HTTP.post(f"{server.url}/upsample", content=ply(GOOD), timeout=60).status_code == 200
     told = server.log.read_text()[before:]
     assert refused.headers["x-request-id"] in told
     assert "Traceback" not in told
@@ -141,7 +142,7 @@ def test_faults_of_the_input_are_no_tracebacks(server: Any) -> None:
 def test_some_bad_points_are_dropped(server: Server) -> None:
     """NaN rows are dropped and counted."""
     points = np.concatenate([GOOD, np.full((3, 3), np.nan, dtype=np.float32)])
-    response = httpx2.post(f"{server.url}/upsample?R=2", content=ply(points), timeout=60)
+    response = HTTP.post(f"{server.url}/upsample?R=2", content=ply(points), timeout=60)
     assert response.status_code == 200, response.text
     assert response.headers["pugeo-dropped-non-finite"] == "3"
     assert response.headers["pugeo-points-out"] == "80"
@@ -149,7 +150,7 @@ def test_some_bad_points_are_dropped(server: Server) -> None:
 
 def test_limits_are_named(server: Server) -> None:
     """413 contains the limit and the value."""
-    found = httpx2.post(f"{server.url}/upsample", content=bytes(33 << 20), timeout=30).json()
+    found = HTTP.post(f"{server.url}/upsample", content=bytes(33 << 20), timeout=30).json()
     assert (found["code"], found["limit"]) == ("body_too_large", 32 << 20)
     assert found["value"] >= 32 << 20
 
@@ -165,13 +166,13 @@ def test_too_large_without_saying_so(server: Server) -> None:
             yield bytes(1 << 20)
 
     try:
-        response = httpx2.post(f"{server.url}/upsample", content=pieces(), timeout=60)
+        response = HTTP.post(f"{server.url}/upsample", content=pieces(), timeout=60)
     except httpx2.TransportError:
         # The service may close the connection before the client reads the answer.
         pass
     else:
         check_problem(response, 413)
-    assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
+    assert HTTP.get(f"{server.url}/health/live", timeout=60).status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -186,12 +187,12 @@ def test_too_large_without_saying_so(server: Server) -> None:
 )
 def test_routes(server: Server, method: str, path: str, status: int) -> None:
     """Wrong paths and methods are problems too."""
-    check_problem(httpx2.request(method, server.url + path, timeout=60), status)
+    check_problem(HTTP.request(method, server.url + path, timeout=60), status)
 
 
 def test_unknown_options_are_named(server: Server) -> None:
     """The error for an unknown option lists all options."""
-    response = httpx2.post(f"{server.url}/upsample?ratio=4", content=ply(GOOD), timeout=60)
+    response = HTTP.post(f"{server.url}/upsample?ratio=4", content=ply(GOOD), timeout=60)
     found = check_problem(response, 422)
     assert found["parameter"] == "ratio"
     assert "n_points" in found["allowed"]

@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import numpy as np
 import pytest
+from tests.http_client import HTTP
 
 from pugeo_client import Client, errors
 from pugeo_model import Cloud, formats
@@ -30,7 +30,7 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-SMALL, LARGE = ball(3000), ball(80_000)
+SMALL, LARGE = ball(1000), ball(20_000)
 
 
 def bearer(name: str) -> dict[str, str]:
@@ -51,7 +51,7 @@ def metrics_of(log: Path) -> str:
     for line in log.read_text().splitlines():
         entry = json.loads(line)
         if entry["event"] == "metrics":
-            return httpx2.get(f"http://127.0.0.1:{entry['port']}/metrics", timeout=60).text
+            return HTTP.get(f"http://127.0.0.1:{entry['port']}/metrics", timeout=60).text
     pytest.fail("the log has no port of metrics")
 
 
@@ -59,15 +59,14 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
     """Shares of owners, rotation of keys, and refusal of deadlines that cannot be met."""
     path = tmp_path / "keys"
     write_keys(path, "ann")
-    options = ["--engine", "inline", "--queue-patches", "60", "--metrics-port", "0"]
+    options = ["--engine", "inline", "--queue-patches", "15", "--metrics-port", "0"]
     options += ["--api-keys-file", str(path)]
-    with launch(*options) as server:
+    with launch(*options, SLOW_S="0.3") as server:
         server.wait_until_ready()
         url = f"{server.url}/upsample?R=2"
-        assert httpx2.post(url, content=SMALL, timeout=60).status_code == 401
+        assert HTTP.post(url, content=SMALL, timeout=60).status_code == 401
         assert (
-            httpx2.get(f"{server.url}/metrics", headers=bearer("ann"), timeout=60).status_code
-            == 404
+            HTTP.get(f"{server.url}/metrics", headers=bearer("ann"), timeout=60).status_code == 404
         )
         assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
 
@@ -76,32 +75,32 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         wait = {"Prefer": "wait=60", **bearer("ann")}
 
         def large() -> None:
-            answers["large"] = httpx2.post(url, content=LARGE, headers=wait, timeout=100)
+            answers["large"] = HTTP.post(url, content=LARGE, headers=wait, timeout=100)
 
         thread = threading.Thread(target=large)
         thread.start()
         while "pugeo_queue_patches 0.0" in metrics_of(server.log):
             time.sleep(0.02)
         write_keys(path, "ann", "bob")
-        refused = httpx2.post(url, content=ball(20_000), headers=bearer("ann"), timeout=60)
+        refused = HTTP.post(url, content=ball(8000), headers=bearer("ann"), timeout=60)
         assert (refused.status_code, refused.json()["code"]) == (429, "share_exceeded")
         assert refused.json()["retryable"] is True
         assert int(refused.headers["retry-after"]) >= 1
         with Client(server.url, api_key="bobbob", timeout=60) as bob:
             dense = bob.upsample(SMALL, 2)
-            assert len(dense) == 6000
+            assert len(dense) == 2000
         assert "large" not in answers
         thread.join()
         assert answers["large"].status_code == 200
         assert answers["large"].headers["preference-applied"] == "wait=60"
 
         # The cost of a patch is measured now, so a deadline of one second is refused.
-        late = httpx2.post(
+        late = HTTP.post(
             url, content=LARGE, headers={"Prefer": "wait=1", **bearer("ann")}, timeout=60
         )
         assert late.status_code == 504
         assert late.json()["code"] in {"deadline_too_short", "deadline_exceeded"}
-        after = httpx2.post(url, content=SMALL, headers=bearer("ann"), timeout=60)
+        after = HTTP.post(url, content=SMALL, headers=bearer("ann"), timeout=60)
         assert after.status_code == 200
         assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
 
@@ -111,9 +110,9 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
             bob.upsample(SMALL)
         path.unlink()
         assert (
-            httpx2.get(f"{server.url}/models", headers=bearer("ann"), timeout=60).status_code == 401
+            HTTP.get(f"{server.url}/models", headers=bearer("ann"), timeout=60).status_code == 401
         )
-        assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
+        assert HTTP.get(f"{server.url}/health/live", timeout=60).status_code == 200
         assert server.stop() == 0
         log = server.log.read_text()
         assert '"owner": "bob"' in log

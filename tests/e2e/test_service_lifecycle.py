@@ -18,6 +18,8 @@ import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.free_port import free_port
+from tests.http_client import HTTP
 
 from pugeo_model import Cloud, formats
 
@@ -33,8 +35,8 @@ def ball(count: int) -> bytes:
     return buffer.getvalue()
 
 
-# One worker has patches of the large one to compute for seconds.
-SMALL, LARGE = ball(3000), ball(50_000)
+# A slow service is busy with the large one for seconds.
+SMALL, LARGE = ball(1000), ball(20_000)
 PUGEO = "from pugeo_model.cli import main; main()"
 
 
@@ -49,7 +51,7 @@ class Post(threading.Thread):
 
     def run(self) -> None:
         """Send it and wait."""
-        self.response = httpx2.post(f"{self._url}/upsample?R=2", content=self._body, timeout=300)
+        self.response = HTTP.post(f"{self._url}/upsample?R=2", content=self._body, timeout=300)
 
 
 def begun(server: Any, body: bytes) -> Post:
@@ -63,22 +65,23 @@ def begun(server: Any, body: bytes) -> Post:
 
 def test_sigterm_drains(launch: Any) -> None:
     """After SIGTERM new requests are refused and admitted ones finished; status 0."""
-    with launch("--workers", "1", "--drain-s", "300", PUGEO_DRAIN_DELAY_S="6") as server:
+    options = ("--workers", "1", "--drain-s", "300")
+    with launch(*options, SLOW_S="0.5", PUGEO_DRAIN_DELAY_S="4") as server:
         server.wait_until_ready()
         accepted = begun(server, LARGE)
         server.process.send_signal(signal.SIGTERM)
-        while (ready := httpx2.get(f"{server.url}/health/ready", timeout=60)).status_code == 200:
+        while (ready := HTTP.get(f"{server.url}/health/ready", timeout=60)).status_code == 200:
             time.sleep(0.02)
         assert (ready.status_code, ready.json()["code"]) == (503, "draining")
-        assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
-        refused = httpx2.post(f"{server.url}/upsample", content=SMALL, timeout=60)
+        assert HTTP.get(f"{server.url}/health/live", timeout=60).status_code == 200
+        refused = HTTP.post(f"{server.url}/upsample", content=SMALL, timeout=60)
         assert (refused.status_code, refused.json()["code"]) == (503, "draining")
         assert "retry-after" in refused.headers
         assert server.process.wait(400) == 0
         accepted.join()
         assert accepted.response is not None
         assert accepted.response.status_code == 200
-        assert accepted.response.headers["pugeo-points-out"] == "100000"
+        assert accepted.response.headers["pugeo-points-out"] == "40000"
 
 
 @pytest.mark.parametrize(
@@ -88,11 +91,11 @@ def test_sigterm_drains(launch: Any) -> None:
 def test_sigterm_while_starting(launch: Any, moment: float) -> None:
     """SIGTERM before the service is ready ends it with status 0."""
     with launch("--workers", "1") as server:
-        assert httpx2.get(f"{server.url}/health/live", timeout=60).status_code == 200
-        ready = httpx2.get(f"{server.url}/health/ready", timeout=60)
+        assert HTTP.get(f"{server.url}/health/live", timeout=60).status_code == 200
+        ready = HTTP.get(f"{server.url}/health/ready", timeout=60)
         assert (ready.status_code, ready.json()["code"]) == (503, "no_worker")
-        assert httpx2.get(f"{server.url}/health", timeout=60).json()["status"] == "not_ready"
-        refused = httpx2.post(f"{server.url}/upsample", content=SMALL, timeout=60)
+        assert HTTP.get(f"{server.url}/health", timeout=60).json()["status"] == "not_ready"
+        refused = HTTP.post(f"{server.url}/upsample", content=SMALL, timeout=60)
         assert (refused.status_code, refused.json()["code"]) == (503, "no_worker")
         time.sleep(moment)
         assert server.stop() == 0
@@ -101,12 +104,11 @@ def test_sigterm_while_starting(launch: Any, moment: float) -> None:
 
 def test_full_and_late(launch: Any) -> None:
     """A full queue gives 503 with Retry-After, a passed deadline 504; then it goes on."""
-    options = ("--queue-requests", "1", "--deadline-s", "4", "--workers", "1")
-    with launch(*options) as server:
+    options = ("--queue-requests", "1", "--deadline-s", "6", "--workers", "1")
+    with launch(*options, SLOW_S="0.8") as server:
         server.wait_until_ready()
-        # 600,000 output points take one worker more than 4 s.
-        late = begun(server, ball(300_000))
-        full = httpx2.post(f"{server.url}/upsample", content=SMALL, timeout=60)
+        late = begun(server, LARGE)
+        full = HTTP.post(f"{server.url}/upsample", content=SMALL, timeout=60)
         assert (full.status_code, full.json()["code"]) == (503, "queue_full")
         assert 1 <= int(full.headers["retry-after"]) <= 120
         assert full.json()["retryable"] is True
@@ -117,7 +119,7 @@ def test_full_and_late(launch: Any) -> None:
         assert server.metric('pugeo_cancelled_total{reason="deadline"}') == 1
         assert server.metric('pugeo_rejected_total{reason="queue_full"}') == 1
         assert server.metric("pugeo_queue_patches") == 0
-        good = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+        good = HTTP.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
         assert good.status_code == 200
 
 
@@ -178,9 +180,9 @@ def test_inline(launch: Any, server: Any) -> None:
     """The inline engine gives the same answers, once a line on stdout has said that it is ready."""
     with launch("--engine", "inline") as inline:
         assert inline.process.stdout.readline() == f"ready: {inline.url}\n"
-        assert httpx2.get(f"{inline.url}/health/ready", timeout=60).status_code == 200
+        assert HTTP.get(f"{inline.url}/health/ready", timeout=60).status_code == 200
         urls = [f"{one.url}/upsample?R=2" for one in (inline, server)]
-        answers = [httpx2.post(url, content=SMALL, timeout=60) for url in urls]
+        answers = [HTTP.post(url, content=SMALL, timeout=60) for url in urls]
         assert [answer.status_code for answer in answers] == [200, 200]
         here, there = (points(answer.content) for answer in answers)
         np.testing.assert_allclose(here, there, atol=1e-6)
@@ -195,8 +197,7 @@ class ExternalCluster:
             f"PUGEO_TLS_{name.upper()}": str(folder / f"{name}.pem")
             for name in ("ca", "cert", "key")
         }
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self._port = probe.getsockname()[1]
+        self._port = free_port()
         self.address = f"tls://127.0.0.1:{self._port}"
         self._folder = folder
         self.scheduler: subprocess.Popen[bytes] | None = None
@@ -250,12 +251,12 @@ def test_an_external_cluster(external: ExternalCluster, launch: Any, server: Any
     for _ in range(2):
         with launch("--scheduler", external.address, **external.credentials) as front:
             front.wait_until_ready()
-            health = httpx2.get(f"{front.url}/health", timeout=60).json()
+            health = HTTP.get(f"{front.url}/health", timeout=60).json()
             assert (health["workers"], health["workers_expected"]) == (1, None)
-            answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
+            answer = HTTP.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
             assert answer.status_code == 200, answer.text
             assert front.stop() == 0
-    near = httpx2.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
+    near = HTTP.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
     np.testing.assert_allclose(points(answer.content), points(near.content), atol=1e-6)
     assert external.stop() == [0, 0]
 
@@ -267,7 +268,7 @@ def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> Non
     external.start_worker()
     with launch("--scheduler", external.address, **external.credentials) as front:
         front.wait_until_ready()
-        waiting = begun(front, LARGE)
+        waiting = begun(front, ball(50_000))
         front.wait_until_working()
         external.kill_scheduler()
         waiting.join()
@@ -275,12 +276,12 @@ def test_a_cluster_that_goes_away(external: ExternalCluster, launch: Any) -> Non
         found = waiting.response.json()
         assert (found["status"], found["code"], found["retryable"]) == (503, "engine_lost", True)
         for _ in range(3):
-            refused = httpx2.post(f"{front.url}/upsample", content=SMALL, timeout=60)
+            refused = HTTP.post(f"{front.url}/upsample", content=SMALL, timeout=60)
             assert refused.status_code == 503, refused.text
-        assert httpx2.get(f"{front.url}/health/ready", timeout=60).json()["code"] == "no_worker"
-        assert httpx2.get(f"{front.url}/health/live", timeout=60).status_code == 200
+        assert HTTP.get(f"{front.url}/health/ready", timeout=60).json()["code"] == "no_worker"
+        assert HTTP.get(f"{front.url}/health/live", timeout=60).status_code == 200
         external.start_scheduler()
         front.wait_until_ready()
-        answer = httpx2.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
+        answer = HTTP.post(f"{front.url}/upsample?R=2", content=SMALL, timeout=60)
         assert answer.status_code == 200, answer.text
         assert front.stop() == 0

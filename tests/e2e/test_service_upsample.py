@@ -9,6 +9,7 @@ import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.http_client import HTTP
 
 from pugeo_model import Cloud, formats
 from pugeo_model.formats import WRITABLE
@@ -41,7 +42,7 @@ def npy(points: NDArray[Any]) -> bytes:
 
 def post(server: Server, query: str = "", **arguments: Any) -> httpx2.Response:
     """Send a request to /upsample."""
-    return httpx2.post(f"{server.url}/upsample{query}", timeout=60, **arguments)
+    return HTTP.post(f"{server.url}/upsample{query}", timeout=60, **arguments)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +158,7 @@ def test_headers(server: Server, cloud: Cloud) -> None:
         content=encode(Cloud(points.astype(np.float32)), "ply"),
         headers={"X-Request-ID": "my-request"},
     )
-    card = httpx2.get(f"{server.url}/models", timeout=60).json()["models"][0]
+    card = HTTP.get(f"{server.url}/models", timeout=60).json()["models"][0]
     headers = response.headers
     assert headers["x-request-id"] == "my-request"
     assert headers["pugeo-model-version"] == card["version"]

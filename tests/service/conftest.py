@@ -12,6 +12,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from tests.free_port import free_port
 
 _WAIT_S = 60.0
 
@@ -22,8 +23,7 @@ def s3_server() -> Iterator[str]:
     for name in ("s3fs", "moto", "flask", "flask_cors"):
         if importlib.util.find_spec(name) is None:
             pytest.skip(f"{name} is not installed")
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
+    port = free_port()
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

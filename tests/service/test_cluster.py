@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.free_port import free_port
 
 from pugeo_service import cluster
 
@@ -82,8 +83,7 @@ def test_a_scheduler_tells_its_address_and_ends(certificates: dict[str, str]) ->
 @pytest.mark.usefixtures("_kernels")
 def test_a_worker_ends_while_it_waits(certificates: dict[str, str]) -> None:
     """Without a scheduler it says why, once, and SIGTERM ends it with status 0."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        address = f"tls://127.0.0.1:{probe.getsockname()[1]}"
+    address = f"tls://127.0.0.1:{free_port()}"
     process = run(certificates, "worker", "--scheduler", address, "--workers", "1")
     assert process.stderr is not None
     while '"the scheduler does not answer' not in (line := process.stderr.readline()):

@@ -5,7 +5,6 @@ import asyncio
 import os
 import pwd
 import shutil
-import socket
 import subprocess
 import tempfile
 import time
@@ -16,6 +15,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from tests.free_port import free_port
 
 from pugeo_model.errors import MalformedFileError
 from pugeo_service import app as app_module
@@ -249,8 +249,7 @@ def postgres() -> Iterator[Callable[[], str]]:
     folder = Path(tempfile.mkdtemp(prefix="pugeo-postgres-"))
     if user is not None:
         os.chown(folder, pwd.getpwnam(user).pw_uid, -1)
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
+    port = free_port()
     data = str(folder / "data")
 
     def run(program: str, *arguments: str) -> None:

@@ -29,6 +29,8 @@ def test_another_service_goes_on_with_a_backup(
             kept, deleted = await house.submit(b"one"), await house.submit(b"two")
             for job in (kept, deleted):
                 await house.until(job["id"], "succeeded")
+            # The input is removed after the state is told.
+            await house.eventually(lambda: not house.names("inputs"))
             done = back_up(root, house.folder, backup)
             assert done.returncode == 0, done.stderr
             assert done.stdout.startswith("2 files were copied")
