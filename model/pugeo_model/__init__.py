@@ -11,6 +11,7 @@ Names are imported on first use (PEP 562): importing this package loads neither 
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from pugeo_model.kernel_cache import use_writable_folder
@@ -49,6 +50,9 @@ __version__ = "0.1.0"
 
 # Before any module imports numba, which reads the folder of its cache only once.
 use_writable_folder()
+# Before torch is loaded. Its threads would wait for each other in a loop: beside other programs a
+# cloud of 80 points then takes 490 ms of the processor instead of 42; alone, 63 ms instead of 46.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 _MODULES = {
     "BadOptionError": "errors",

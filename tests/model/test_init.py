@@ -2,6 +2,7 @@
 """Names of the package, imported on first use."""
 
 import importlib
+import os
 import subprocess
 import sys
 
@@ -29,6 +30,21 @@ def test_an_unknown_name_is_an_error() -> None:
     """A misspelled name is an AttributeError that names the package."""
     with pytest.raises(AttributeError, match="'pugeo_model' has no attribute 'Upsample'"):
         pm.Upsample  # noqa: B018
+
+
+def test_threads_of_torch_do_not_wait_in_a_loop() -> None:
+    """The policy is set before torch is loaded, unless the user has set another."""
+    code = "import os, pugeo_model; print(os.environ['OMP_WAIT_POLICY'])"
+    for given, wanted in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")):
+        others = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+        found = subprocess.run(
+            [sys.executable, "-c", code],
+            env=others | given,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        assert found.stdout.strip() == wanted
 
 
 def test_names_are_imported_on_first_use() -> None:
