@@ -23,6 +23,8 @@ DIGEST = "0" * 64
 EVERYTHING: dict[str, Any] = {
     "image": {"repository": MODEL, "tag": "1", "pullSecrets": [{"name": "registry"}]},
     "settings": {"PUGEO_MAX_POINTS": "100", "OTEL_EXPORTER_OTLP_ENDPOINT": "http://collector:4318"},
+    "secretSettings": {"PUGEO_WEBHOOK_SECRET": {"name": "webhooks", "key": "secret"}},
+    "models": {"existingClaim": "weights"},
     "keys": {"entries": [f"ann:{DIGEST}"]},
     "tls": {"existingSecret": "our-certificates"},
     "database": {"existingSecret": "our-database"},
@@ -146,13 +148,46 @@ def test_settings_are_those_of_the_service(manifests: list[Manifest]) -> None:
     data = of(manifests, "ConfigMap")["scans-pugeo-settings"]["data"]
     known = {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
     assert {name for name in data if name.startswith("PUGEO_")} <= known
-    assert not {"PUGEO_API_KEYS", "PUGEO_DATABASE_URL"} & data.keys()
-    paths = {"tls_ca", "tls_cert", "tls_key", "api_keys_file", "scheduler"}
+    assert not {"PUGEO_API_KEYS", "PUGEO_DATABASE_URL", "PUGEO_WEBHOOK_SECRET"} & data.keys()
+    paths = {"tls_ca", "tls_cert", "tls_key", "api_keys_file", "scheduler", "models_dir"}
     given = {name.removeprefix("PUGEO_").lower(): value for name, value in data.items()}
     settings = Settings(**{name: value for name, value in given.items() if name not in paths})
     assert settings.metrics_port == 9100
     assert Settings._encrypted(data["PUGEO_SCHEDULER"]) == data["PUGEO_SCHEDULER"]
     assert data["PUGEO_SCHEDULER"].split("/")[-1].split(":")[0] in of(manifests, "Service")
+
+
+def test_secret_settings_come_from_secrets(everything: list[Manifest]) -> None:
+    """Each is an environment variable of the front that names its Secret; none is in the clear."""
+    (front,) = of(everything, "Deployment")["scans-pugeo-front"]["spec"]["template"]["spec"][
+        "containers"
+    ]
+    found = {each["name"]: each["valueFrom"]["secretKeyRef"] for each in front["env"]}
+    assert found == {
+        "PUGEO_DATABASE_URL": {"name": "our-database", "key": "url"},
+        "PUGEO_WEBHOOK_SECRET": {"name": "webhooks", "key": "secret"},
+    }
+
+
+def test_weights_are_mounted(everything: list[Manifest]) -> None:
+    """The folder of the setting is the claim, which the front cannot change."""
+    data = of(everything, "ConfigMap")["scans-pugeo-settings"]["data"]
+    pod = of(everything, "Deployment")["scans-pugeo-front"]["spec"]["template"]["spec"]
+    (mount,) = [m for m in pod["containers"][0]["volumeMounts"] if m["name"] == "models"]
+    (volume,) = [v for v in pod["volumes"] if v["name"] == "models"]
+    assert mount == {"name": "models", "mountPath": data["PUGEO_MODELS_DIR"], "readOnly": True}
+    assert volume["persistentVolumeClaim"] == {"claimName": "weights", "readOnly": True}
+
+
+def test_fronts_with_a_store_share_no_volume(chart: Any) -> None:
+    """With PUGEO_JOBS_STORE several fronts need no claim."""
+    values = {
+        "front": {"replicas": 2},
+        "database": {"existingSecret": "db"},
+        "secretSettings": {"PUGEO_JOBS_STORE": {"name": "store", "key": "url"}},
+        "jobs": {"persistence": {"enabled": False}},
+    }
+    assert of(render(chart, values), "PersistentVolumeClaim") == {}
 
 
 def test_services_find_their_pods(manifests: list[Manifest]) -> None:
@@ -219,13 +254,10 @@ def test_the_network_lets_through_what_is_needed(manifests: list[Manifest]) -> N
 
 
 def test_a_database_may_be_reached(everything: list[Manifest]) -> None:
-    """Fronts with a database get its URL from the Secret and may connect to it."""
+    """Fronts with a database may connect to it."""
     rules = of(everything, "NetworkPolicy")["scans-pugeo-front"]["spec"]["egress"]
     assert {"ports": [{"port": 5432}]} in rules
     assert {"ports": [{"port": 4318}]} in rules
-    pod = of(everything, "Deployment")["scans-pugeo-front"]["spec"]["template"]["spec"]
-    (variable,) = pod["containers"][0]["env"]
-    assert variable["valueFrom"]["secretKeyRef"] == {"name": "our-database", "key": "url"}
 
 
 def test_workers_follow_the_queue(everything: list[Manifest]) -> None:
@@ -293,6 +325,14 @@ def test_wrong_values_are_refused(chart: Any, values: dict[str, Any], named: str
         (
             {"front": {"replicas": 2}, "database": {"existingSecret": "db"}},
             r"jobs\.persistence",
+        ),
+        (
+            {
+                "front": {"replicas": 2},
+                "database": {"existingSecret": "db"},
+                "settings": {"PUGEO_JOBS_STORE": "s3://jobs"},
+            },
+            r"jobs\.persistence\.enabled=false",
         ),
         ({"ingress": {"enabled": True}}, r"ingress\.host"),
     ],
