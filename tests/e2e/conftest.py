@@ -21,6 +21,8 @@ from tests.http_client import HTTP
 psutil: Any = importlib.import_module("psutil")
 
 _READY_S = 200.0
+# The small network: other tests ask the large one whether its points are right.
+_FAST = {"PUGEO_MODEL": "fast"}
 _SLOW_SERVICE = Path(__file__).with_name("slow_service.py")
 
 
@@ -122,14 +124,14 @@ def launched(log: Path, *options: str, **environment: str) -> Iterator[Server]:
 @pytest.fixture
 def launch(_kernels: None, tmp_path: Path) -> Callable[..., AbstractContextManager[Server]]:
     """Starts a separate service: ``with launch("--workers", "1", SLOW_S="0.1") as server``."""
-    return partial(launched, tmp_path / "server.log")
+    return partial(launched, tmp_path / "server.log", **_FAST)
 
 
 @pytest.fixture(scope="module")
 def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service of threads, with the limits that are the default."""
     with launched(
-        tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline"
+        tmp_path_factory.mktemp("inline") / "server.log", "--engine", "inline", **_FAST
     ) as running:
         running.wait_until_ready()
         yield running
@@ -139,20 +141,22 @@ def inline(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 def slow_server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service whose two workers take 0.4 s for each patch, with 32 MiB a body."""
     limits = ("--max-body-bytes", str(32 << 20), "--max-points", "300000")
-    with launched(tmp_path_factory.mktemp("slow") / "server.log", *limits, SLOW_S="0.4") as running:
+    with launched(
+        tmp_path_factory.mktemp("slow") / "server.log", *limits, SLOW_S="0.4", **_FAST
+    ) as running:
         running.wait_until_ready()
         yield running
 
 
 @pytest.fixture(scope="session")
 def server(_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The service that most tests share: 32 MiB a body, a folder of models, `fast` as canary."""
+    """The service that most tests share: 32 MiB a body, a folder of models, a canary."""
     folder = tmp_path_factory.mktemp("service")
     log, models = folder / "server.log", folder / "models"
     models.mkdir()
     limits = ("--max-body-bytes", str(32 << 20), "--max-points", "300000")
-    offered = {"PUGEO_MODELS_DIR": str(models), "PUGEO_CANARY": "fast:0"}
-    with launched(log, *limits, **offered) as running:
+    offered = {"PUGEO_MODELS_DIR": str(models), "PUGEO_CANARY": "standard:0"}
+    with launched(log, *limits, **offered, **_FAST) as running:
         running.wait_until_ready()
         yield running
         assert running.stop() == 0, log.read_text()[-4000:]

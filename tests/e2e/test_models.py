@@ -60,9 +60,9 @@ def test_the_header_chooses_the_canary(server: Any, cloud: Cloud) -> None:
     """The canary, whose share is 0 here, runs for requests that ask for it."""
     chosen = {wish: answer(server, cloud, "", pugeo_canary=wish) for wish in ("yes", "no", "")}
     models = {wish: response.headers["pugeo-model"] for wish, response in chosen.items()}
-    assert models == {"yes": "fast", "no": "standard", "": "standard"}
+    assert models == {"yes": "standard", "no": "fast", "": "fast"}
     listed = HTTP.get(f"{server.url}/models").json()
-    assert (listed["default"], listed["canary"]) == ("standard", {"name": "fast", "share": 0})
+    assert (listed["default"], listed["canary"]) == ("fast", {"name": "standard", "share": 0})
 
 
 def test_weights_are_replaced_while_the_service_runs(server: Any, cloud: Cloud) -> None:
@@ -88,7 +88,7 @@ def test_weights_are_replaced_while_the_service_runs(server: Any, cloud: Cloud) 
         with Client(server.url) as client:
             result = client.submit(cloud.points, 2, model="mine").result()
             assert (result.meta.model, result.data) == ("mine", wanted)
-            assert next(card["name"] for card in client.models()) == "standard"
+            assert next(card["name"] for card in client.models()) == "fast"
     finally:
         for suffix in (".safetensors", ".json"):
             (folder / f"mine{suffix}").unlink(missing_ok=True)

@@ -140,7 +140,7 @@ def test_a_large_request_does_not_wait_for_small_ones_without_end(server: Server
             assert small.answer().status_code == 200
 
     large.start()
-    clients = [threading.Thread(target=keep_asking) for _ in range(6)]
+    clients = [threading.Thread(target=keep_asking) for _ in range(4)]
     for client in clients:
         client.start()
     assert large.answer().status_code == 200
