@@ -1,25 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages and progress on stderr: a bar on a terminal, else a plain line every few seconds."""
 
+import signal
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-__all__ = ["CONSOLE", "Display", "progress_bar", "say"]
+__all__ = ["CONSOLE", "Display", "progress_bar", "say", "stopped_training"]
 
 CONSOLE = Console(stderr=True)
 _INTERVAL_S = 5.0
 """Seconds between two plain lines."""
 _TELLING = 0.05
 """Completed part from which on the time left is told."""
+_TERMINATED = 128 + signal.SIGTERM  # status of a program that this signal ended
 
 
 def say(line: str, style: str | None = None) -> None:
     """Print a line on stderr as it is: not wrapped, not marked up."""
     CONSOLE.print(line, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def stopped_training(folder: Path) -> typer.Exit:
+    """The end of a command whose training got SIGTERM, told in a line."""
+    say(f"stopped; what is trained so far is in {folder}, and the same command goes on from there")
+    return typer.Exit(_TERMINATED)
 
 
 def progress_bar(*columns: TextColumn) -> Progress:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.progress import TextColumn
 
-from pugeo_model.cli.display import progress_bar, say
+from pugeo_model.cli.display import progress_bar, say, stopped_training
 from pugeo_model.cli.tasks import needed_extra
 
 __all__ = ["reproduce"]
@@ -46,17 +46,17 @@ def reproduce(
         raise typer.BadParameter(f"no part {unknown[0]!r}: give one of {', '.join(PARTS)}")
     with progress_bar(TextColumn("{task.fields[info]}")) as bar:
         task = bar.add_task("reproduce", total=None, info="")
-        if train_on is not None:
-            train_missing(
-                train_on,
-                meshes,
-                networks,
-                needed(),
-                steps,
-                lambda name, step, words: bar.update(
-                    task, description=name, info=f"step {step:,} {words}"
-                ),
-            )
+        if train_on is not None and not train_missing(
+            train_on,
+            meshes,
+            networks,
+            needed(),
+            steps,
+            lambda name, step, words: bar.update(
+                task, description=name, info=f"step {step:,} {words}"
+            ),
+        ):
+            raise stopped_training(networks)
         reproduction = Reproduction(
             meshes,
             samples,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import TextColumn
 
-from pugeo_model.cli.display import progress_bar, say
+from pugeo_model.cli.display import progress_bar, say, stopped_training
 from pugeo_model.cli.tasks import needed_extra
 
 __all__ = ["train"]
@@ -54,7 +54,7 @@ def train(
         )
         validation = load_shapes(val) if val else []
         bar.update(task, description="train", completed=0, total=wanted.steps)
-        run(
+        done = run(
             shapes,
             validation,
             meshes,
@@ -65,4 +65,6 @@ def train(
             every,
             tick=lambda step, info: bar.update(task, completed=step, info=info),
         )
+    if not done:
+        raise stopped_training(out)
     say(f"weights, card, log and curves in {out}")

@@ -92,7 +92,7 @@ def train_missing(
     wanted: Iterable[Trained],
     steps: int | None,
     tick: Callable[[str, int, str], None],
-) -> None:
+) -> bool:
     """Train the networks that are not there, or not for as long, one after the other.
 
     Interrupted, it goes on where it was when called again.
@@ -104,6 +104,9 @@ def train_missing(
         wanted: the networks.
         steps: of each, instead of the recipes' own.
         tick: called with a name, the step and a few words.
+
+    Returns:
+        Whether all are trained; ``False`` after SIGTERM.
     """
     from pugeo_model.training.recipes import read_recipe, with_ratio
     from pugeo_model.training.run import load_shapes, run
@@ -121,7 +124,7 @@ def train_missing(
         def told(step: int, words: str, name: str = each.name) -> None:
             tick(name, step, words)
 
-        run(
+        if not run(
             shapes,
             validation,
             meshes,
@@ -131,4 +134,6 @@ def train_missing(
             each.recipe,
             every=_EVERY,
             tick=told,
-        )
+        ):
+            return False
+    return True

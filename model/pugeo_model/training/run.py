@@ -49,7 +49,7 @@ def run(
     recipe_name: str,
     every: int,
     tick: Callable[[int, str], None],
-) -> None:
+) -> bool:
     """Train and write ``NAME.safetensors``, its card, ``log.csv`` and ``curves.png``.
 
     Args:
@@ -62,6 +62,9 @@ def run(
         recipe_name: argument of ``--recipe`` that repeats the run, for the model card.
         every: steps between checkpoints.
         tick: called after each step with the step and the last losses as text.
+
+    Returns:
+        Whether all steps are done; ``False`` after SIGTERM.
     """
     kind = Trainer if recipe.patches is None else PatchTrainer
     trainer = kind(shapes, recipe, folder, validation)
@@ -85,6 +88,7 @@ def run(
         trainer.run(every, report, lambda step: tick(step, losses))
     # Also if no step was left, as after a change of the name.
     write()
+    return trainer.step >= recipe.steps
 
 
 @contextmanager

@@ -233,7 +233,7 @@ def test_sigterm_saves(shapes, meshes, tmp_path):
         if step == 3:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    run(shapes, [], meshes, recipe, tmp_path, "tiny", "own.toml", 40, tick)
+    assert not run(shapes, [], meshes, recipe, tmp_path, "tiny", "own.toml", 40, tick)
     assert (tmp_path / "tiny.safetensors").exists()
     resumed = PatchTrainer(shapes, recipe, tmp_path)
     assert 3 <= resumed.step <= 4
