@@ -14,7 +14,7 @@ _DECIMALS = {"CD": 4, "CD#": 4}
 
 def section(title: str, command: str, seconds: float, *parts: str) -> str:
     """One table or figure with the command that makes it and the seconds that it took."""
-    took = f"`{command}`, {seconds:,.0f} s measured on one core."
+    took = f"`{command}`, {seconds:,.0f} seconds of one core."
     return "\n\n".join([f"## {title}", took, *(part for part in parts if part)]) + "\n"
 
 

@@ -46,8 +46,8 @@ class Row:
 
     Attributes:
         columns: mean over shapes; empty where the method cannot do it.
-        seconds: of upsampling, all shapes together; NaN where another program did it.
-        spent: of upsampling, reconstruction and measuring.
+        seconds: of the processor for upsampling, all shapes together; NaN where another program did it.
+        spent: of the processor for upsampling, reconstruction and measuring.
     """
 
     columns: dict[str, float]
@@ -100,12 +100,12 @@ class RowStore:
             if truth.name in known:
                 continue
             self._tick(key, truth.name)
-            begun = time.perf_counter()
+            begun = time.process_time()
             cloud = read(self._setting.samples / "inputs" / f"{truth.name}_{_POINTS}.ply")
             dense = method(cloud, ratio)
-            seconds = time.perf_counter() - begun
+            seconds = time.process_time() - begun
             figures = self._measure(truth, dense, ratio)
-            spent = time.perf_counter() - begun
+            spent = time.process_time() - begun
             known[truth.name] = {**figures, "seconds": seconds, "spent": spent}
             self._save()
         rows = [known[truth.name] for truth in self._setting.shapes]

@@ -218,7 +218,7 @@ def test_the_ablation(truth, networks, tmp_path):
 def test_a_section_says_how_it_was_made():
     """Title, command, seconds, and the parts that are not empty."""
     text = section("Table 9", "pugeo reproduce --part x", 1234.5, "", "| a |")
-    expected = "## Table 9\n\n`pugeo reproduce --part x`, 1,234 s measured on one core.\n\n| a |\n"
+    expected = "## Table 9\n\n`pugeo reproduce --part x`, 1,234 seconds of one core.\n\n| a |\n"
     assert text == expected
 
 
