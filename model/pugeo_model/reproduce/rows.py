@@ -46,7 +46,8 @@ class Row:
 
     Attributes:
         columns: mean over shapes; empty where the method cannot do it.
-        seconds: of the processor for upsampling, all shapes together; NaN where another program did it.
+        seconds: of the processor for upsampling, all shapes together; NaN where another program
+            did it.
         spent: of the processor for upsampling, reconstruction and measuring.
     """
 

@@ -55,11 +55,16 @@ weighed by its softmax weight `w`, not by the logit `a_hat` (`network/backbones/
 _NOTES = {
     "comparison": (
         "PU-Net and MPU predict no normals: theirs are a PCA of 16 neighbours, as in the paper. "
-        "A dash is a column that the method has not got."
+        "A dash is a column that the method has not got. Why cells differ from the paper's: other "
+        "shapes, on whose thin parts HD and the columns of surfaces depend; a budget of some "
+        "hundred steps instead of 240,000, and networks that predict normals learn those last, so "
+        "that their surfaces suffer most; EAR is CGAL's, with normals of a fitted quadric whose "
+        "signs come from a spanning tree: where one is wrong, its surface is inside out."
     ),
     "normals": (
         "Normals of the same points, predicted or by PCA of 10 to 45 neighbours. The PCA's get the "
-        "signs of the predicted ones, so that directions alone are compared."
+        "signs of the predicted ones, so that directions alone are compared. Of the network as "
+        "published, trained briefly, a PCA is still the better one; of ours it is not."
     ),
     "ablation": (
         "Each line is a recipe that leaves out one part of the full model; data, seed, steps and "
