@@ -29,19 +29,20 @@ def lines_table(lines: Iterable[Line], columns: Sequence[str] = PRINTED_COLUMNS)
         ["R", "method", *columns, "normals °", "size MB", "budget", "upsampling s"],
         ["---:", "---", *["---:"] * len(columns), "---:", "---:", "---", "---:"],
     ]
-    notes = []
+    notes: list[str] = []
     for line in lines:
         cells = [_cell(line, name, columns) for name in columns]
         size = _pair(line.megabytes, line.printed_megabytes, 1)
         angle = seconds = ""
         if line.row is not None:
             angle = _number(line.row.columns.get("normal_mean"), 2)
-            seconds = _number(line.row.seconds, 0)
+            # Points that another line has made take no time.
+            seconds = _number(line.row.seconds, 0) if not line.row.seconds < 1 else ""
         budget = line.budget or (line.why and "none, see below")
         rows.append([str(line.ratio), line.method, *cells, angle, size, budget, seconds])
         if line.why:
             notes.append(f"- {line.method}, R={line.ratio}: {line.why}")
-        elif line.command:
+        elif line.command and not any(f"`{line.command}`" in note for note in notes):
             notes.append(f"- {line.method}, R={line.ratio}: `{line.command}`")
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     return "\n\n".join(part for part in (table, "\n".join(notes)) if part)

@@ -68,7 +68,8 @@ _NOTES = {
     ),
     "ablation": (
         "Each line is a recipe that leaves out one part of the full model; data, seed, steps and "
-        "loss weights are the same."
+        "loss weights are the same. After 250 steps all lines are within 2 % of each other in CD: "
+        "such a budget does not tell the parts of the network apart."
     ),
     "geometry": (
         "5,000 even points of a sphere of diameter 1 and of a cube of side 1. T holds the tangents "
