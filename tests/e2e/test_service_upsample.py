@@ -211,7 +211,7 @@ def test_the_service_computes_what_the_library_does(server: Server) -> None:
 
     directions = np.random.default_rng(3).normal(size=(5000, 3))
     sphere = Cloud((directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype("f4"))
-    response = post(server, "?R=2&seed=5", content=encode(sphere, "ply"))
+    response = post(server, "?R=2&seed=5&model=standard", content=encode(sphere, "ply"))
     assert response.status_code == 200, response.text
     here = Upsampler()(sphere, 2.0, seed=5).cloud
     there = decode(response.content, "ply")

@@ -58,8 +58,9 @@ _NOTES = {
         "A dash is a column that the method has not got. Why cells differ from the paper's: other "
         "shapes, on whose thin parts HD and the columns of surfaces depend; a budget of some "
         "hundred steps instead of 240,000, and networks that predict normals learn those last, so "
-        "that their surfaces suffer most; EAR is CGAL's, with normals of a fitted quadric whose "
-        "signs come from a spanning tree: where one is wrong, its surface is inside out."
+        "that their surfaces suffer most; EAR is that of `benchmarks/ear.py`, with normals of a "
+        "fitted quadric whose signs come from a spanning tree: where one is wrong, its surface is "
+        "inside out."
     ),
     "normals": (
         "Normals of the same points, predicted or by PCA of 10 to 45 neighbours. The PCA's get the "
