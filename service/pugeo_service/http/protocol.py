@@ -18,7 +18,7 @@ from pugeo_service.http.connection_limit import ConnectionLimit
 __all__ = ["GONE", "ServerProtocol"]
 
 GONE = "pugeo.gone"
-"""Member of the ASGI scope: returns whether the client has closed its connection."""
+"""Member of the ASGI scope: returns whether the client left before it had the whole response."""
 
 
 # Seconds in which a client must read at least a part of the buffered response.
@@ -32,6 +32,7 @@ class ServerProtocol(ConnectionLimit):
     """Protocol of one connection."""
 
     _running: RequestResponseCycle | None = None
+    _delivered = False
     _read_timer: asyncio.TimerHandle | None = None
     _linger_timer: asyncio.TimerHandle | None = None
 
@@ -42,6 +43,10 @@ class ServerProtocol(ConnectionLimit):
         self.pipeline.clear()
         running = self._running
         if running is not None and not running.response_complete:
+            # A client that has all bytes of the body may close the connection before the message
+            # that ends the response. Bytes are lost after an error, or with a full write buffer.
+            lost = exc is not None or self.flow.write_paused
+            self._delivered = not lost and _is_written(running)
             running.disconnected = True
             running.message_event.set()
         super().connection_lost(exc)
@@ -75,7 +80,7 @@ class ServerProtocol(ConnectionLimit):
     def _start_asgi_task(self, cycle: RequestResponseCycle, app: Callable[..., Any]) -> None:
         self._running = cycle
         scope: MutableMapping[str, Any] = cast("MutableMapping[str, Any]", cycle.scope)
-        scope[GONE] = lambda: cycle.disconnected
+        scope[GONE] = lambda: cycle.disconnected and not self._delivered
         super()._start_asgi_task(cycle, app)
 
     def _unread(self) -> int:
@@ -109,6 +114,12 @@ class ServerProtocol(ConnectionLimit):
         if self._read_timer is not None:
             self._read_timer.cancel()
             self._read_timer = None
+
+
+def _is_written(cycle: RequestResponseCycle) -> bool:
+    """Whether as many bytes were written as the response's Content-Length says."""
+    sized = cycle.response_started and cycle.chunked_encoding is False
+    return sized and cycle.expected_content_length == 0
 
 
 def _queued(transport: asyncio.Transport) -> int:

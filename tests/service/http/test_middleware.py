@@ -163,24 +163,6 @@ def test_a_client_that_is_cut_is_499(grouped: bool) -> None:
     assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "499"): 1.0}
 
 
-def test_a_client_that_closes_after_the_last_byte_is_no_499() -> None:
-    """The whole body was sent: only the message that ends the response came later."""
-    gone: list[None] = []
-
-    async def stream(scope: Scope, _receive: Receive, send: Send) -> None:
-        scope["pugeo.gone"] = lambda: bool(gone)
-        headers = [(b"content-length", b"2")]
-        await send({"type": "http.response.start", "status": 200, "headers": headers})
-        await send({"type": "http.response.body", "body": b"x", "more_body": True})
-        gone.append(None)
-        await send({"type": "http.response.body", "body": b"x", "more_body": True})
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-    telemetry = make_telemetry()
-    exchange(stream, telemetry)
-    assert counted(telemetry, "pugeo_http_requests_total") == {("GET", "unmatched", "200"): 1.0}
-
-
 def test_a_late_bug_breaks_the_connection() -> None:
     """After the headers an error is raised, so that the server aborts the connection."""
     with pytest.raises(KeyError):

@@ -74,6 +74,25 @@ class Short(Large):
             await send({"type": "http.response.body", "body": bytes(self.size)})
 
 
+class Sized(Large):
+    """Application that sends all bytes of its body, and ends the response once the client left."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.gone: list[bool] = []
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] != "http":
+            return
+        await receive()
+        headers = [(b"content-length", str(self.size).encode())]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await send({"type": "http.response.body", "body": bytes(self.size), "more_body": True})
+        assert (await receive())["type"] == "http.disconnect"
+        self.gone.append(scope[protocol.GONE]())
+
+
 @contextmanager
 def serving(app: Large) -> Iterator[tuple[tuple[str, int], uvicorn.Server]]:
     """Serve on a free port; yields its address and the server."""
@@ -195,6 +214,20 @@ def test_a_client_that_reads_everything(monkeypatch: pytest.MonkeyPatch) -> None
     made.pause_writing()
     made.resume_writing()
     assert (loop.active(PERIOD), transport.ended) == ([], "")
+
+
+@pytest.mark.parametrize(("size", "reads", "gone"), [(1000, True, False), (64 << 20, False, True)])
+def test_a_client_that_closes_before_the_response_ends(size: int, reads: bool, gone: bool) -> None:
+    """It left too early only if it has not got all bytes of the body."""
+    app = Sized(size)
+    with serving(app) as (address, _), socket.create_connection(address) as client:
+        client.sendall(GET)
+        received = b""
+        while len(received) < (size if reads else 1):
+            received += client.recv(1 << 16).rpartition(b"\r\n\r\n")[2]
+        client.close()
+        until(lambda: bool(app.gone))
+    assert app.gone == [gone]
 
 
 def test_a_body_that_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
