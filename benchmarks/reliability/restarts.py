@@ -2,7 +2,6 @@
 """A service that is started again after its death: same address, same jobs."""
 
 import contextlib
-import socket
 import time
 from pathlib import Path
 from types import TracebackType
@@ -10,6 +9,7 @@ from typing import Self
 
 import httpx2
 from tests.e2e.conftest import launched
+from tests.free_port import free_port
 
 from benchmarks.reliability.service import READY_S, Server
 
@@ -36,8 +36,7 @@ class Phoenix:
         self._folder = folder
         self._opened = contextlib.ExitStack()
         self._lives = 0
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self._port = probe.getsockname()[1]
+        self._port = free_port()
         self.url = f"http://127.0.0.1:{self._port}"
 
     def __enter__(self) -> Self:

@@ -27,7 +27,11 @@ def say(line: str, style: str | None = None) -> None:
 
 
 def stopped_training(folder: Path) -> typer.Exit:
-    """The end of a command whose training got SIGTERM, told in a line."""
+    """Say that SIGTERM stopped a training; returns the exception that ends the command.
+
+    Args:
+        folder: of the run, or of the runs.
+    """
     say(f"stopped; what is trained so far is in {folder}, and the same command goes on from there")
     return typer.Exit(_TERMINATED)
 

@@ -37,7 +37,7 @@ def lines_table(lines: Iterable[Line], columns: Sequence[str] = PRINTED_COLUMNS)
         if line.row is not None:
             angle = _number(line.row.columns.get("normal_mean"), 2)
             # Points that another line has made take no time.
-            seconds = _number(line.row.seconds, 0) if not line.row.seconds < 1 else ""
+            seconds = "" if line.row.seconds < 1 else _number(line.row.seconds, 0)
         budget = line.budget or (line.why and "none, see below")
         rows.append([str(line.ratio), line.method, *cells, angle, size, budget, seconds])
         if line.why:

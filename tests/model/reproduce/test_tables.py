@@ -215,6 +215,19 @@ def test_the_ablation(truth, networks, tmp_path):
     assert lines[0].printed == printed.ABLATION["paper_no_recalibration"]
 
 
+def test_commands_are_told_once_and_no_time_of_points_that_were_there():
+    """Two lines of one network have one command; a line that upsampled nothing has no seconds."""
+    made = [
+        tables.Line("ours", ratio, rows.Row({"CD": 0.4}, seconds, 9.0), command="pugeo train")
+        for ratio, seconds in ((4, 12.0), (8, 0.2))
+    ]
+    table = lines_table(made, ("CD",))
+    assert table.count("`pugeo train`") == 1
+    first, second = [line for line in table.splitlines() if line.startswith(("| 4 ", "| 8 "))]
+    assert first.endswith("| 12 |")
+    assert second.endswith("|  |")
+
+
 def test_a_section_says_how_it_was_made():
     """Title, command, seconds, and the parts that are not empty."""
     text = section("Table 9", "pugeo reproduce --part x", 1234.5, "", "| a |")
