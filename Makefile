@@ -18,7 +18,7 @@ export PYTHONDONTWRITEBYTECODE :=
 SOURCES := client model service tests examples deploy $(wildcard benchmarks)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page check-page test coverage test-long test-page test-postgres test-deploy image serve lint format train bench docs digests openapi constraints clean
+.PHONY: help install demo page check-page test coverage test-slow test-long test-page test-postgres test-deploy image serve lint format train bench docs digests openapi constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,10 +28,13 @@ install: $(VENV)/.installed-dev ## make .venv with everything that developing ne
 demo: $(VENV)/.installed-demo ## start the service, upsample an example, draw out/before_after.png
 	@$(BIN)/python examples/demo.py $(ARGS)
 
-test: $(VENV)/.installed-dev ## run the tests (ARGS="-m 'not slow and not long'": the quick ones)
-	@$(BIN)/python -m pytest -m 'not long' $(PARALLEL) $(ARGS)
+test: $(VENV)/.installed-dev ## run the tests (ARGS="tests/client": some of them)
+	@$(BIN)/python -m pytest -m 'not slow and not long' $(PARALLEL) $(ARGS)
 
-coverage: $(VENV)/.installed-dev ## run the tests and report branch coverage, that of subprocesses included
+test-slow: $(VENV)/.installed-dev ## run the tests that start services, train or measure
+	@$(BIN)/python -m pytest -m 'slow and not long' $(PARALLEL) $(ARGS)
+
+coverage: $(VENV)/.installed-dev ## run the tests, slow ones too, and report branch coverage, that of subprocesses included
 	@rm -rf .cache/coverage; mkdir -p .cache/coverage
 	@$(BIN)/python -m coverage run -m pytest -m 'not long' $(PARALLEL) $(ARGS)
 	@$(BIN)/python -m coverage combine --quiet

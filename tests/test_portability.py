@@ -45,6 +45,7 @@ def run(code: str, root: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_everything_is_imported(root: Path) -> None:
     """No module needs them when it is imported."""
     code = """
@@ -61,6 +62,7 @@ print(count)
     assert int(run(code, root)) > 200
 
 
+@pytest.mark.slow
 def test_the_command_line(root: Path, tmp_path: Path) -> None:
     """`pugeo upsample` reads, upsamples and writes a file."""
     code = """

@@ -33,6 +33,7 @@ def _place() -> mmap.mmap:
     return mmap.mmap(-1, 8)
 
 
+@pytest.mark.slow
 def test_broken_files(place: mmap.mmap) -> None:
     """A thousand, through all readers: a cloud or a CloudError, for little memory and time."""
     found = trial.run(0, (), START, STOP, place)

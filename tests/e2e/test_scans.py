@@ -65,6 +65,7 @@ def office() -> Cloud:
     return Cloud(frame.numpy(("x", "y", "z")).astype(np.float32), colors=colors.astype(np.uint8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scan",
     [

@@ -176,6 +176,7 @@ def test_lists_and_tensors(ask: Ask, sphere: NDArray[np.float32]) -> None:
     assert clouds[0].data == clouds[1].data == clouds[2].data
 
 
+@pytest.mark.slow
 def test_a_cloud_beyond_the_time_limit(launch: Callable[..., Any], tmp_path: Path) -> None:
     """A cloud that the service cannot finish within one request is finished as a job."""
     points = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)

@@ -68,6 +68,7 @@ def test_redundant_points_are_represented_by_fewer_charts(points: np.ndarray) ->
     assert np.array_equal(np.sort(found.order), np.arange(len(points)))
 
 
+@pytest.mark.slow
 def test_more_points_of_the_same_noise_give_better_centres() -> None:
     """The error of the centres of a noisy ball falls as its points become more."""
     errors = []

@@ -90,6 +90,7 @@ def test_small_clouds_stay_whole(ball):
     assert measured == [None, None]
 
 
+@pytest.mark.slow
 def test_no_seam_shows(upsampler):
     """Tiles are as even as one piece, without coincident points, with all normals outward."""
     ratios = []
@@ -112,6 +113,7 @@ def test_no_seam_shows(upsampler):
     assert (np.mean(ratios, axis=0) > 0.95).all()
 
 
+@pytest.mark.slow
 def test_no_seam_shows_where_points_were_noisy(upsampler, ball):
     """Denoised tiles are as even and as near the surface as one piece."""
     noisy = ball + np.random.default_rng(0).normal(size=ball.shape, scale=0.01)

@@ -114,6 +114,7 @@ def test_a_card_has_a_version(own: Path) -> None:
     assert "has no version" in told(own)
 
 
+@pytest.mark.slow
 def test_weights_that_do_not_load(own: Path) -> None:
     """Without a sha256 in the card, weights that are cut or of another network are refused too."""
     change_card(own, {"sha256": None})

@@ -28,6 +28,7 @@ def ball(tmp_path):
     return tmp_path / "ball.ply"
 
 
+@pytest.mark.slow
 def test_upsample_writes_by_suffix(ball, tmp_path, pugeo):
     """The suffix of the output is its format; counts and dropped points are printed."""
     done = run("upsample", ball, "-R", "3", "-o", tmp_path / "dense.ply")

@@ -47,6 +47,7 @@ def test_normals(monkeypatch, ball):
     assert found["clean", "PCA 16"] < found["noise 1.2 %", "PCA 16"]
 
 
+@pytest.mark.slow
 def test_sensors(tmp_path, meshes, monkeypatch):
     """Each sensor has its scan, two answers and the limit, on the surface that was seen."""
     pytest.importorskip("trimesh", reason="virtual sensors need the train extra")

@@ -87,6 +87,7 @@ def test_the_served_network_knows_a_sphere():
     assert np.abs(found.principal_curvatures).mean() == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_papers_network(tmp_path):
     """Untrained: T is the patches' principal axes, so that angles are small; histograms appear."""
     torch.manual_seed(0)

@@ -135,6 +135,7 @@ def test_references(truth, tmp_path):
     assert len(reference(shape, tmp_path, 400)) == 300
 
 
+@pytest.mark.slow
 def test_the_comparison(truth, networks, tmp_path, monkeypatch):
     """Trained networks are measured; for others, and for what cannot be, it says why."""
     shape, samples = truth
@@ -159,6 +160,7 @@ def test_the_comparison(truth, networks, tmp_path, monkeypatch):
     assert "- MPU, R=12: a cascade" in text
 
 
+@pytest.mark.slow
 def test_normals_are_compared_at_the_same_points(truth, networks, tmp_path):
     """One run of the network serves its own normals and five PCAs, each with its number."""
     shape, samples = truth

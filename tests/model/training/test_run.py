@@ -19,6 +19,7 @@ def train(shapes, meshes, recipe, folder, every=3):
     run(shapes, [], meshes, recipe, folder, "small", "own.toml", every, lambda *_: None)
 
 
+@pytest.mark.slow
 def test_a_run_resumes_exactly(shapes, meshes, small, tmp_path):
     """Six steps in a row and three plus three give the same weights, bit for bit."""
     for folder, lengths in (("once", [6]), ("twice", [3, 6])):
@@ -31,6 +32,7 @@ def test_a_run_resumes_exactly(shapes, meshes, small, tmp_path):
         assert (tmp_path / "once" / name).stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_a_run_starts_from_weights(shapes, meshes, small, tmp_path):
     """The network starts with the given weights, and the recipe of the card names them."""
     recipe = Recipe(small, steps=2, warmup=1)
@@ -42,6 +44,7 @@ def test_a_run_starts_from_weights(shapes, meshes, small, tmp_path):
     assert started.recipe.to_json()["start"] == weights
 
 
+@pytest.mark.slow
 def test_the_card_describes_the_run(shapes, meshes, small, tmp_path):
     """The card has the recipe, the number of steps, the data hash and the command."""
     recipe = Recipe(small, steps=1, warmup=1)

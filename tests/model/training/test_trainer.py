@@ -23,6 +23,7 @@ def test_the_learning_rate_has_three_phases():
     assert learning_rate(recipe, 999) == pytest.approx(0.005)
 
 
+@pytest.mark.slow
 def test_the_loss_falls(shapes, small, tmp_path):
     """Forty steps on one shape lower the loss by a fifth or more."""
     trainer = Trainer(shapes, Recipe(small, steps=40, warmup=5, rate=4e-3), tmp_path)
@@ -50,6 +51,7 @@ def test_a_gradient_that_is_not_finite_changes_nothing(shapes, small, tmp_path, 
         torch.testing.assert_close(value, before[name])
 
 
+@pytest.mark.slow
 def test_the_log_has_a_line_for_each_report(shapes, small, tmp_path):
     """Losses of training and validation are logged every few steps; progress is reported."""
     recipe = Recipe(small, steps=3, warmup=1)

@@ -114,6 +114,7 @@ def run(code: str, root: Path, **environment: str) -> str:
     ).stdout
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_unless_asked_for(root: Path) -> None:
     """Without the variable neither SDK nor exporter is imported."""
     code = (

@@ -202,6 +202,7 @@ def test_one_step_of_every_recipe(name, shapes, tmp_path):
     assert still == biases  # those that a batch norm behind them takes out again
 
 
+@pytest.mark.slow
 def test_loss_falls(shapes, tmp_path):
     """Sixty steps of a small network on four batches lower every part of the loss."""
     recipe = Recipe(TINY, steps=60, warmup=1, rate=5e-3, clip=100.0, patches=PatchSettings(batch=2))
@@ -213,6 +214,7 @@ def test_loss_falls(shapes, tmp_path):
         assert np.mean(values[-4:]) < 0.97 * np.mean(values[:4]), name
 
 
+@pytest.mark.slow
 def test_resumes_exactly(shapes, meshes, tmp_path):
     """Four steps in a row and two plus two give the same weights, bit for bit."""
 
