@@ -18,6 +18,7 @@ except ModuleNotFoundError as missing:
         f"the pugeo command needs {missing.name}: {install_hint('model')}"
     ) from missing
 
+from pugeo_model.cli.average import average
 from pugeo_model.cli.evaluate import evaluate
 from pugeo_model.cli.info import info
 from pugeo_model.cli.models import models
@@ -48,7 +49,7 @@ def _root(
         raise typer.Exit
 
 
-for _command in (upsample, info, models, train, evaluate, samples, reproduce):
+for _command in (upsample, info, models, train, average, evaluate, samples, reproduce):
     app.command()(_command)
 
 

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``pugeo average``."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from pugeo_model import weights
+
+Run = Callable[..., Any]
+
+
+def test_between_two(pugeo: Run, tmp_path: Path) -> None:
+    """Each tensor lies between those of both; the card names them, and the weights load."""
+    out = tmp_path / "new" / "mine.safetensors"
+    done = pugeo("average", "standard", "scans", "--share", "0.25", "-o", out)
+    assert done.status == 0, done.stderr
+    found, first, second = (
+        load_file(weights.locate(each)) for each in (out, "standard", "scans")
+    )
+    assert found.keys() == first.keys()
+    for name, tensor in found.items():
+        torch.testing.assert_close(tensor, 0.75 * first[name] + 0.25 * second[name])
+    card = json.loads(out.with_suffix(".json").read_text("utf-8"))
+    assert card["name"] == "mine"
+    assert card["training"]["average"] == [
+        {"name": name, "sha256": weights.read_card(name)["sha256"], "share": share}
+        for name, share in (("standard", 0.75), ("scans", 0.25))
+    ]
+    assert weights.load(out).card["sha256"] == card["sha256"]
+
+
+def test_the_ends(pugeo: Run, tmp_path: Path) -> None:
+    """A share of 0 gives the first weights, one of 1 the second, to the bit."""
+    for share, name in ((0, "standard"), (1, "scans")):
+        out = tmp_path / f"{name}.safetensors"
+        pugeo("average", "standard", "scans", "--share", share, "-o", out)
+        assert out.read_bytes() == weights.locate(name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("standard", "scans", "--share", "1.5"), "give 0 to 1"),
+        (("standard", "scans", "--share", "nan"), "give 0 to 1"),
+        (("standard", "fast"), "only weights of one network"),
+        (("standard", "none"), "no weights 'none'"),
+    ],
+)
+def test_refused(pugeo: Run, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+    """A line names the fault; nothing is written."""
+    done = pugeo("average", *arguments, "-o", tmp_path / "x.safetensors")
+    assert done.status == 2
+    assert words in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_is_not_found_again(pugeo: Run, tmp_path: Path) -> None:
+    """Weights are found by their suffix, so another one is refused."""
+    done = pugeo("average", "standard", "scans", "-o", tmp_path / "x.pt")
+    assert done.status == 2
+    assert "does not end in .safetensors" in done.stderr
