@@ -24,7 +24,7 @@ def average(first: str | Path, second: str | Path, share: float, path: Path) -> 
 
     Args:
         first: released weights by name, or the path of a ``.safetensors`` file.
-        second: the other weights, likewise; the card of the average repeats its training.
+        second: the other weights, likewise. The card of the average repeats the training of both.
         share: of the second, from 0 to 1.
         path: the file to write; ends in ``.safetensors``.
 
@@ -57,14 +57,17 @@ def average(first: str | Path, second: str | Path, share: float, path: Path) -> 
         {name: torch.lerp(value, tensors[name], share) for name, value in net.state_dict().items()}
     )
     card = {
-        **cards[1],
+        **cards[0],
         "name": path.stem,
         "training": {
-            **cards[1]["training"],
-            "average": [
-                {"name": each["name"], "sha256": each["sha256"], "share": part}
-                for each, part in zip(cards, (1 - share, share), strict=True)
-            ],
+            **cards[0]["training"],
+            "average": {
+                "sha256": cards[0]["sha256"],
+                "with": cards[1]["name"],
+                "with_sha256": cards[1]["sha256"],
+                "share": share,
+                "training": cards[1]["training"],
+            },
         },
         "quality": {},
     }

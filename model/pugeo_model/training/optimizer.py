@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Muon (Jordan et al. 2024) for the inner matrices of the network, AdamW for all other weights.
+"""Muon for the inner matrices of the network, AdamW for all other weights.
 
-Muon replaces the momentum of a matrix by the nearest orthogonal matrix, so that rare directions
-are learned as fast as frequent ones. It is not defined for vectors and not useful for layers with
-few inputs or outputs.
+Muon is not defined for vectors and not useful for layers with few inputs or outputs.
 """
 
 from typing import Any
@@ -11,10 +9,11 @@ from typing import Any
 import torch
 from torch import nn
 
+from pugeo_model.training.muon import Muon
+
 __all__ = ["Optimizer"]
 
 _NARROW = 32  # layers with fewer channels are trained by AdamW
-_DECAY = 0.01  # weight decay of Muon, multiplied by the learning rate
 
 
 class Optimizer:
@@ -35,10 +34,7 @@ class Optimizer:
             torch.optim.AdamW(others, lr=rate, weight_decay=decay, fused=True)
         ]
         if inner:
-            muon = torch.optim.Muon(
-                inner, lr=rate, weight_decay=_DECAY, adjust_lr_fn="match_rms_adamw"
-            )
-            self._parts.append(muon)
+            self._parts.append(Muon(inner, rate))
 
     def step(self, rate: float) -> None:
         """Update the weights with learning rate ``rate``."""

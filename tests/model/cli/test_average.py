@@ -28,10 +28,17 @@ def test_between_two(pugeo: Run, tmp_path: Path) -> None:
         torch.testing.assert_close(tensor, 0.75 * first[name] + 0.25 * second[name])
     card = json.loads(out.with_suffix(".json").read_text("utf-8"))
     assert card["name"] == "mine"
-    assert card["training"]["average"] == [
-        {"name": name, "sha256": weights.read_card(name)["sha256"], "share": share}
-        for name, share in (("standard", 0.75), ("scans", 0.25))
-    ]
+    cards = [weights.read_card(name) for name in ("standard", "scans")]
+    assert card["training"] == {
+        **cards[0]["training"],
+        "average": {
+            "sha256": cards[0]["sha256"],
+            "with": "scans",
+            "with_sha256": cards[1]["sha256"],
+            "share": 0.25,
+            "training": cards[1]["training"],
+        },
+    }
     assert weights.load(out).card["sha256"] == card["sha256"]
 
 
