@@ -138,7 +138,7 @@ class AsyncClient:
                 on_progress=on_progress,
             )
         except BaseException:
-            # Nobody knows its id: without this the service would work for nobody.
+            # Cancel the job: the caller never received its id.
             with contextlib.suppress(PugeoError):
                 await job.cancel(timeout=_CANCEL_S)
             raise

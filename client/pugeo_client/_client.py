@@ -166,7 +166,7 @@ class Client:
                 on_progress=on_progress,
             )
         except BaseException:
-            # Nobody knows its id: without this the service would work for nobody.
+            # Cancel the job: the caller never received its id.
             with _blocking_io.interruptible(None), contextlib.suppress(PugeoError):
                 job.cancel(timeout=_CANCEL_S)
             raise

@@ -21,8 +21,8 @@ T = TypeVar("T")
 class Connection:
     """Sends requests of a `Client`; may be shared between threads.
 
-    A forked child gets connections of its own: with those of its parent, each of the two would
-    read answers that are meant for the other.
+    A forked child opens its own connections: on shared ones, parent and child could read each
+    other's responses.
 
     Args:
         base_url: see `Client`, as for the following.

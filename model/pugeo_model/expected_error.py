@@ -55,6 +55,6 @@ def expected_errors(prepared: PreparedTile, projected: Projected) -> NDArray[np.
 def _remaining_noise(prepared: PreparedTile) -> float:
     """Noise level of points that denoising did not move, in spacings; 0 if it is detail."""
     tile = prepared.tile
-    # Where points may move, denoising has found that what looks like noise is detail.
+    # Denoising was tried and hardly moved the points, so the residuals are detail.
     was_tried = tile.input is None and not tile.unmoved
     return 0.0 if was_tried or prepared.noise <= TUNING.noise_threshold else prepared.noise

@@ -66,12 +66,12 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
         fixed = prepared.tile.unmoved
         return _query(prepared, atlas, inputs[in_core], input_owner[in_core], fixed=fixed)
     tile = prepared.tile
-    landed = projected.take(slice(0, len(inputs)))
+    projected_inputs = projected.take(slice(0, len(inputs)))
     candidates = projected.take(slice(len(inputs), None))
-    exact = _is_exact(prepared, landed)
+    exact = _is_exact(prepared, projected_inputs)
     pinned = None
     if tile.keeps_input or exact:
-        pinned = inputs, landed.normals, input_owner
+        pinned = inputs, projected_inputs.normals, input_owner
     beyond = are_beyond(
         candidates.points,
         candidates.normals,
@@ -103,12 +103,12 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
     return _query(prepared, atlas, points, owner, fixed=len(kept))
 
 
-def _is_exact(prepared: PreparedTile, landed: Projected) -> bool:
+def _is_exact(prepared: PreparedTile, projected_inputs: Projected) -> bool:
     """Return whether the input points lie on the surface, so that they may be output points."""
     tile = prepared.tile
     if tile.noisy is not None or tile.input is not None or tile.keeps_input:
         return False
-    return input_is_exact(prepared, landed.points)
+    return input_is_exact(prepared, projected_inputs.points)
 
 
 def _is_averaged(prepared: PreparedTile) -> bool:

@@ -212,8 +212,9 @@ def _margins(
 ) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
     """Rows of the inner and the outer margin of each core.
 
-    A margin is as wide as the spacing of the core asks for, and of a denser neighbour only as
-    deep as the spacing of that one asks for: a coarse tile would contain a dense neighbour whole.
+    The width of a margin is ``TUNING.margin`` times the spacing of the core. In a denser
+    neighbouring tile it follows the spacing of that tile: otherwise a coarse tile would contain
+    all of it.
     """
     boxes = np.array([bounds(points, core) for core in cores])
     low, high = boxes[:, 0], boxes[:, 1]
@@ -235,7 +236,7 @@ def _margins(
             rows, nearest, distance = rows[near], nearest[near], distance[near]
             charted = np.full(len(rows), TUNING.charted_margin * spacings[tile])
             if spacings[other] < _DENSER * spacings[tile] and len(rows):
-                # Behind the first of its points that a core point meets.
+                # Depth is measured from the neighbour's point nearest to the core point.
                 met, where = np.unique(nearest, return_inverse=True)
                 first = np.asarray(trees[other].query(trees[tile].data[met])[0])[where]
                 deep = distance < first + TUNING.margin * spacings[other]

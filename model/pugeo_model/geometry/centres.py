@@ -30,7 +30,7 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["Centres", "choose_centres"]
 
-_CROWD = 24  # places around a place that are compared
+_COMPARED_PLACES = 24  # places around a place that are compared
 _LLOYD_ROUNDS = 2
 _LARGEST_OFFSET = 0.5  # spacings of the centres from a centre to the nearest point
 _ROBUST_ROUNDS = 2
@@ -110,7 +110,7 @@ def _spaced_apart(
     places: NDArray[np.float64], spacing: NDArray[np.float64], count: NDArray[Any]
 ) -> NDArray[np.intp]:
     """Greedy subset of places with a least distance; places of many points are taken first."""
-    near = min(_CROWD, len(places))
+    near = min(_COMPARED_PLACES, len(places))
     distances, rows = knn(
         cKDTree(places), places, near, TUNING.centre_distance * float(spacing.max())
     )

@@ -60,7 +60,7 @@ def farthest_points(
 
 @njit(cache=True, nogil=True)
 def _visit(points, ends, low, high, distance, best, at, x, y, z):  # type: ignore[no-untyped-def]
-    """Lower the squared distances to what is chosen, now that (x, y, z) is."""
+    """Update the squared distances to the chosen points after (x, y, z) was added."""
     for bucket in range(len(best)):
         dx = max(low[bucket, 0] - x, 0.0, x - high[bucket, 0])
         dy = max(low[bucket, 1] - y, 0.0, y - high[bucket, 1])
@@ -87,7 +87,7 @@ def _choose(points, ends, low, high, distance, best, at, given, chosen):  # type
         chosen[turn] = row
         x, y, z = points[row]
         _visit(points, ends, low, high, distance, best, at, x, y, z)
-        # Never again, also where others lie on the same spot.
+        # Exclude this row from later choices, even if it has duplicates.
         distance[row] = -1.0
         at[bucket] = ends[bucket] + np.argmax(distance[ends[bucket] : ends[bucket + 1]])
         best[bucket] = distance[at[bucket]]

@@ -39,8 +39,8 @@ _LARGEST = 0.1  # of the longest side of the cloud
 _FEWEST = 12  # points needed for a fit
 _PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
 _BUFFER = 1024  # points of a ball that are used at most
-_KNOWN = 0.2  # share of points with a scale from which theirs is handed on
-_HANDED_ON = 16  # points whose median scale is handed on
+_LEAST_KNOWN = 0.2  # share of noisy points with a scale, below which it is not propagated
+_DONORS = 16  # points with a scale whose median a point without one gets
 _FLAT, _THIN, _BALL = TUNING.surface_spread, TUNING.thin_sheet, TUNING.scale_ball
 
 
@@ -90,7 +90,7 @@ def measure_scale(
     curve = np.zeros(len(points), np.bool_)
     if coarse.any():
         found, thickness = _search(points, own, coarse)
-        _hand_on(points, noisy & (found == 0.0), found, thickness)
+        _propagate_scale(points, noisy & (found == 0.0), found, thickness)
         if noisy.any():
             # A neighbourhood that is thin by chance must not remain a single noisy point.
             usual = ranked_neighbour(ranked_neighbour(found, neighbours, 16), neighbours, 16)
@@ -166,7 +166,7 @@ def _bound_by_region(
             values[some] = np.minimum(values[some], TUNING.region_bound * small)
 
 
-def _hand_on(
+def _propagate_scale(
     points: NDArray[np.float64],
     lacking: NDArray[np.bool_],
     found: NDArray[np.float64],
@@ -175,9 +175,9 @@ def _hand_on(
     """Give noisy points without a scale, where detail hides it, that of the points around."""
     known, rows = np.flatnonzero(found > 0.0), np.flatnonzero(lacking)
     # Few points are thin by chance: those of a volume have no scale.
-    if not len(rows) or len(known) < _KNOWN * (len(known) + len(rows)):
+    if not len(rows) or len(known) < _LEAST_KNOWN * (len(known) + len(rows)):
         return
-    near = known[knn(cKDTree(points[known]), points[rows], min(_HANDED_ON, len(known)))[1]]
+    near = known[knn(cKDTree(points[known]), points[rows], min(_DONORS, len(known)))[1]]
     found[rows] = np.median(found[near], axis=1)
     thickness[rows] = np.median(thickness[near], axis=1)
 

@@ -39,31 +39,30 @@ _HEAD = """# The paper, reproduced
 
 "PUGeo-Net: A Geometry-centric Network for 3D Point Cloud Upsampling" (Qian, Hou, Kwong, He, ECCV
 2020), measured with the code of this repository on its own validation shapes. Every part is made
-by the command above it. Each cell is our number, then the paper's own in brackets. The two are not
-to be compared one with one: the paper tests on 13 other models, trains 800 epochs on a GPU, and
+by the command above it. Each cell is our number, then the paper's own in brackets. They cannot
+be compared directly: the paper tests on 13 other models, trains 800 epochs on a GPU, and
 runs Poisson reconstruction with one sample a node (ours 1.5). Units: P2F in 1e-3 of the longest
 side, all other distances and JSD in 1e-2.
 
-Sizes count three float32 for each weight, itself and the two moments of Adam: so counted, ours of
-PUGeo-Net and PU-Net are the paper's to 2 %.
+Size is the weights and Adam's two moments, in float32. Our sizes of PUGeo-Net and PU-Net differ
+from the paper's by at most 2 %.
 
 Made anew, the row of PUGeo-Net at R = 4 had the same digits; it took 122 seconds of a core of an
 AMD EPYC with AVX2, on which all others were measured too.
 
-Printed wrongly in the paper, and put right where it is coded: the unoriented normal loss is the
+Two formulas of the paper contain errors, which the code corrects: the unoriented normal loss is the
 *smaller* of both signs, not the larger (`training/patches/losses.py`), and the last level is
-weighed by its softmax weight `w`, not by the logit `a_hat` (`network/backbones/dgcnn.py`).
+weighted by its softmax weight `w`, not by the logit `a_hat` (`network/backbones/dgcnn.py`).
 """
 
 _NOTES = {
     "comparison": (
         "PU-Net and MPU predict no normals: theirs are a PCA of 16 neighbours, as in the paper. "
-        "A dash is a column that the method has not got. Why cells differ from the paper's: other "
-        "shapes, on whose thin parts HD and the columns of surfaces depend; a budget of some "
-        "hundred steps instead of 240,000, and networks that predict normals learn those last, so "
-        "that their surfaces suffer most; EAR is that of `benchmarks/ear.py`, with normals of a "
-        "fitted quadric whose signs come from a spanning tree: where one is wrong, its surface is "
-        "inside out."
+        "A dash means: not measured. Reasons for differences from the paper: other shapes, on "
+        "whose thin parts HD and the columns of surfaces depend; some hundred training steps instead of "
+        "240,000 (normals are learned last, so reconstructed surfaces suffer most); another "
+        "implementation of EAR (`benchmarks/ear.py`), with normals of a fitted quadric whose signs "
+        "come from a spanning tree: where one is wrong, its surface is inside out."
     ),
     "normals": (
         "Normals of the same points, predicted or by PCA of 10 to 45 neighbours. The PCA's get the "

@@ -136,7 +136,7 @@ def _ear(store: RowStore, folder: Path, ratio: int) -> Line:
     clouds = folder / f"ear_x{ratio}"
     if not clouds.is_dir():
         return replace(line, why=f"no clouds yet: `python -m benchmarks.ear SAMPLES {folder}`")
-    # What it took is told by that program: here files are read.
+    # Only stored files are read here, so no time is reported.
     row = replace(store.row(f"ear x{ratio}", stored(clouds), ratio), seconds=math.nan)
     return replace(line, row=row)
 
@@ -191,7 +191,7 @@ def _of(folder: Path, which: Trained, ratio: int) -> _Source:
 
 
 def _source(weights: str, label: str) -> _Source:
-    """Label, key and method of weights; what they are is in their hash."""
+    """Return label, store key, method and empty line of weights. The key contains their sha256."""
     key = f"{label} {read_card(weights)['sha256'][:12]}"
     label = f"ours (`{label}`)" if label == weights else label
     loaded: list[Upsampler] = []

@@ -36,7 +36,9 @@ def average(first: str | Path, second: str | Path, share: float, path: Path) -> 
             a path that does not end in ``.safetensors``.
     """
     if not 0 <= share <= 1:
-        raise BadOptionError(f"the share of the second weights is {share}: give 0 to 1", value=share)
+        raise BadOptionError(
+            f"the share of the second weights is {share}: give 0 to 1", name="share"
+        )
     if path.suffix != ".safetensors":
         raise BadOptionError(
             f"{str(path)!r} does not end in .safetensors, by which weights are found",

@@ -33,12 +33,12 @@ def available_recipes() -> list[str]:
 
 
 def read_recipe(name_or_path: str) -> Recipe:
-    """A recipe by its name, or from a file; what a file leaves out is as in ``Recipe``.
+    """A recipe by its name, or from a file. Missing keys have the defaults of ``Recipe``.
 
     A file may name a ``base``, another recipe, and then holds only the differences from it.
 
     Raises:
-        BadOptionError: no such recipe, or it holds what no recipe has.
+        BadOptionError: the recipe does not exist or contains an unknown key.
     """
     path, raw = _read(name_or_path, _DEPTH)
     values: dict[str, Any] = {}

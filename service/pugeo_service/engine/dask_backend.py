@@ -56,7 +56,7 @@ _SILENCE_S = 3.0
 _FAR_SILENCE_S = 1.0
 # So long until the connection is given up, and all that runs with it.
 _LOST_S = 10.0
-_RISE_S = 2.0
+_CLUSTER_START_S = 2.0
 _CLOSE_S = 20.0
 
 
@@ -66,7 +66,7 @@ class DaskBackend:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._cluster: Any = None
-        self._rising: asyncio.Future[Any] | None = None
+        self._starting_cluster: asyncio.Future[Any] | None = None
         self._client: Any = None
         self._poll: asyncio.Task[None] | None = None
         self._workers: frozenset[str] = frozenset()
@@ -121,9 +121,9 @@ class DaskBackend:
             )
             # Cancelling the start does not cancel this: a cluster can be closed when it is up, or
             # before it began, but not in between.
-            self._rising = asyncio.ensure_future(self._cluster)
+            self._starting_cluster = asyncio.ensure_future(self._cluster)
             try:
-                await asyncio.shield(self._rising)
+                await asyncio.shield(self._starting_cluster)
             except RuntimeError as error:
                 raise EngineStartError(
                     "the worker processes end while they start; their own lines above say why, and "
@@ -135,8 +135,8 @@ class DaskBackend:
                 await self._connected.wait_for_workers(1, timeout=settings.start_s)
                 break
             _log.warning("no worker has joined the scheduler", seconds=settings.start_s)
-        await self._look()
-        self._poll = asyncio.create_task(self._keep_looking())
+        await self._refresh_workers()
+        self._poll = asyncio.create_task(self._poll_workers())
 
     async def stop(self) -> None:
         """Close the connection, and the workers if they are ours."""
@@ -149,15 +149,15 @@ class DaskBackend:
         try:
             if self._client is not None:
                 await asyncio.wait_for(self._client.close(), _CLOSE_S)
-            if self._rising is not None:
-                await asyncio.wait({self._rising}, timeout=_RISE_S)
-                if not self._rising.done():
+            if self._starting_cluster is not None:
+                await asyncio.wait({self._starting_cluster}, timeout=_CLUSTER_START_S)
+                if not self._starting_cluster.done():
                     # A worker takes long to start, or hangs; its nanny reports the end as a fault.
                     asyncio.get_running_loop().set_exception_handler(lambda _, __: None)
                     logging.getLogger("distributed").setLevel(logging.CRITICAL)
                     logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)
                     end_processes(self._processes())
-                    await asyncio.wait({self._rising}, timeout=_CLOSE_S)
+                    await asyncio.wait({self._starting_cluster}, timeout=_CLOSE_S)
             if self._cluster is not None:
                 await asyncio.wait_for(self._cluster.close(), _CLOSE_S)
         except Exception as error:  # noqa: BLE001 - whatever fails here, the processes must end
@@ -263,8 +263,8 @@ class DaskBackend:
             await self._client.register_plugin(ModelPlugin(weights, self._name))
 
     def _count_retry(self, event: tuple[float, str]) -> None:
-        _, patches, pool, _ = event[1].split("-")
-        if pool == self._name:
+        _, patches, front, _ = event[1].split("-")
+        if front == self._name:
             self.retried_patches += int(patches)
 
     @property
@@ -273,11 +273,11 @@ class DaskBackend:
             raise EngineLostError("the engine has not started")
         return self._client
 
-    async def _keep_looking(self) -> None:
+    async def _poll_workers(self) -> None:
         silence = _SILENCE_S if self._cluster is not None else _FAR_SILENCE_S
         while True:
             await asyncio.sleep(_POLL_S)
-            looking = asyncio.create_task(self._look())
+            looking = asyncio.create_task(self._refresh_workers())
             try:
                 async with asyncio.timeout(_LOST_S):
                     await asyncio.wait({looking}, timeout=silence)
@@ -301,12 +301,12 @@ class DaskBackend:
             await self._connect()
             _log.info("connected to the scheduler again")
 
-    async def _look(self) -> None:
+    async def _refresh_workers(self) -> None:
         scheduler = self._connected.scheduler
         if scheduler is None:
             raise EngineLostError("the connection to the scheduler is closed")
         identity = await scheduler.identity(n_workers=-1)
-        self._tell_foreign(identity["workers"])
+        self._log_other_versions(identity["workers"])
         hanging = self._heartbeats.hanging(
             {address: worker["last_seen"] for address, worker in identity["workers"].items()},
             self._pids(),
@@ -327,7 +327,7 @@ class DaskBackend:
             self._end_hanging(hanging)
             self._replace_nannies()
 
-    def _tell_foreign(self, workers: dict[str, Any]) -> None:
+    def _log_other_versions(self, workers: dict[str, Any]) -> None:
         """Log each worker of another version once; tasks need resources that it does not have."""
         foreign = {
             address: worker.get("metrics", {}).get(VERSION_METRIC, "of unknown version")

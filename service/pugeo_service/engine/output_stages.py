@@ -78,7 +78,7 @@ def describe_agreements(agreements: TileAgreements) -> AgreementInfo:
 
 
 def write_tile(dense: DenseTile, agreements: TileAgreements, number: int) -> Output:
-    """Return the part of the answer that a tile is; the first one begins with the header."""
+    """Write a tile as rows of the answer; tile 0 begins with the header of the file."""
     import numpy as np
 
     from pugeo_model import formats

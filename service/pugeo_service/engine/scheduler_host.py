@@ -24,10 +24,10 @@ _CLOSE_S = 10.0
 
 
 class VersionedScheduler(Scheduler):
-    """Dask's scheduler, in which the resources of a task bind whatever becomes of its worker.
+    """Dask's scheduler, changed to keep the resources of a task after its worker is lost.
 
-    A task may name a worker and allow others. Once that worker is gone, Dask forgets the task's
-    resources too, and they tell which version of pugeo may run it.
+    A task may name a worker and allow others. Once that worker is lost, Dask drops the task's
+    resources too, which select workers of the same version of pugeo.
     """
 
     def valid_workers(self, ts: Any) -> Any:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of life in the database, of processes on machines that share no folder.
+"""Heartbeats in the database, of processes on machines that share no folder.
 
-Each process counts up a number in its own row. A process whose number another one sees unchanged
-for a while, by the other one's own clock, has ended or is cut off. No two clocks are compared, and
-a time in which the database did not answer proves nothing.
+Each process increments a counter in its row. If a counter does not change for 15 s on the clock of
+the observer, its process counts as ended. Clocks of different machines are not compared, and time
+in which the database did not answer is not counted.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ _runners = Table(
 
 
 class RunnerBeats:
-    """Life signs of this process, and the watch over those of others.
+    """Writes the heartbeat of this process and detects ended processes.
 
     Args:
         database: that all processes share.

@@ -89,10 +89,10 @@ class StoredJobFiles(JobFiles):
         self._opened: ObjectStore | None = None
 
     def prepare(self) -> None:
-        """Make the local folders, and store a file to see whether that is possible.
+        """Create the local folders, and test the store with a write.
 
         Raises:
-            OSError: one of both is not possible.
+            OSError: a folder or the store cannot be written.
         """
         super().prepare()
         probe, key = self._parts / f"{self._writer}.probe", f"parts/{self._writer}"
@@ -146,7 +146,7 @@ class StoredJobFiles(JobFiles):
         self._remove(f"inputs/{job_id}")
 
     def remove_result(self, job_id: str) -> None:
-        """Remove the result of a job, likewise."""
+        """Remove the result of a job; if the store fails, `sweep` removes it later."""
         super().remove_result(job_id)
         self._remove(f"results/{job_id}")
 
@@ -158,7 +158,7 @@ class StoredJobFiles(JobFiles):
         is_alive: Callable[[str], bool],
     ) -> int:
         """Remove files that no job needs from the store, and older copies from here."""
-        # Not all of those who use the store are known here, so young files stay in any case.
+        # Other processes may use the same store, so recent files are kept.
         made_before = min(made_before, time.time() - _YOUNG_S)
         removed = super().sweep(set(), set(), made_before, is_alive)
         for folder, kept in (("inputs", inputs), ("results", results)):

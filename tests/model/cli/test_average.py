@@ -20,9 +20,7 @@ def test_between_two(pugeo: Run, tmp_path: Path) -> None:
     out = tmp_path / "new" / "mine.safetensors"
     done = pugeo("average", "standard", "scans", "--share", "0.25", "-o", out)
     assert done.status == 0, done.stderr
-    found, first, second = (
-        load_file(weights.locate(each)) for each in (out, "standard", "scans")
-    )
+    found, first, second = (load_file(weights.locate(each)) for each in (out, "standard", "scans"))
     assert found.keys() == first.keys()
     for name, tensor in found.items():
         torch.testing.assert_close(tensor, 0.75 * first[name] + 0.25 * second[name])
