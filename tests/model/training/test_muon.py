@@ -16,7 +16,7 @@ def test_singular_values_are_near_one(shape):
     inside = left.T @ orthogonalised(matrix) @ right.T
     found = inside.diagonal()
     assert values.max() > 3 * values.min()
-    assert 0.6 < found[values > 0.1 * values.max()].min()
+    assert found[values > 0.1 * values.max()].min() > 0.6
     assert found.max() < 1.3
     assert (inside - found.diag()).abs().max() < 1e-4
 
@@ -28,7 +28,7 @@ def test_equal_to_torch():
     start = ours.weight.detach().clone()
     inputs = torch.randn(64, 48, generator=torch.Generator().manual_seed(1))
     optimizers = [
-        Muon([ours.weight], 0.02),
+        Muon(ours.parameters(), 0.02),
         torch.optim.Muon(
             [theirs.weight], lr=0.02, weight_decay=0.01, adjust_lr_fn="match_rms_adamw"
         ),
@@ -46,7 +46,7 @@ def test_a_matrix_without_gradient_stays():
     """It has no state either."""
     layer = nn.Linear(40, 40, bias=False)
     before = layer.weight.detach().clone()
-    muon = Muon([layer.weight], 0.1)
+    muon = Muon(layer.parameters(), 0.1)
     muon.step()
     assert torch.equal(layer.weight, before)
     assert not muon.state
