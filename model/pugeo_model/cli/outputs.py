@@ -9,6 +9,7 @@ from pugeo_model.cli.inputs import Found, format_of, is_pattern
 from pugeo_model.cli.tasks import CommandError, Task, label
 from pugeo_model.errors import UnsupportedFormatError
 from pugeo_model.formats import WRITABLE, output_format, written_as
+from pugeo_model.formats.stream import is_stream
 
 __all__ = ["check_replaced", "folder_of", "make_tasks"]
 
@@ -92,7 +93,8 @@ def check_replaced(tasks: Sequence[Task]) -> None:
     Raises:
         CommandError: an output exists.
     """
-    there = [task.target for task in tasks if task.target is not None and task.target.is_file()]
+    targets = [task.target for task in tasks if task.target is not None]
+    there = [target for target in targets if target.is_file() and not is_stream(target)]
     if there:
         more = f" and {len(there) - 1} more outputs exist" if len(there) > 1 else " exists"
         raise CommandError(

@@ -125,7 +125,7 @@ def upsample(
     skipped: list[Task] = []
     left: list[Task] = []
     for task in tasks:
-        there = skip_existing and task.target is not None and task.target.exists()
+        there = skip_existing and task.target is not None and task.target.is_file()
         (skipped if there else left).append(task)
     if not overwrite:
         check_replaced(left)

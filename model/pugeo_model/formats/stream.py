@@ -3,6 +3,7 @@
 
 import os
 import secrets
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import IO
 
 from pugeo_model.formats.limits import Limits
 
-__all__ = ["CHUNK_BYTES", "Source", "Target", "bytes_left", "replacing", "seekable"]
+__all__ = ["CHUNK_BYTES", "Source", "Target", "bytes_left", "is_stream", "replacing", "seekable"]
 
 Source = str | os.PathLike[str] | IO[bytes]
 Target = str | os.PathLike[str] | IO[bytes]
@@ -69,16 +70,21 @@ def replacing(target: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
     The bytes go to a temporary file next to ``target``, which is renamed over it on a clean
     exit and removed after an exception: readers see the old file or the whole new one.
-    Something that is no regular file (``/dev/stdout``, a named pipe) is written directly.
+    A device, a pipe or a descriptor (``/dev/stdout``) is never replaced: the bytes are copied into
+    it at the end.
 
     Raises:
         OSError: the folder is missing or not writable.
     """
-    path = Path(target).resolve()
-    if path.exists() and not path.is_file():
-        with path.open("wb") as file:
+    path = Path(target)
+    if is_stream(path):
+        with tempfile.TemporaryFile() as file:
             yield file
+            file.seek(0)
+            with path.open("ab") as stream:
+                shutil.copyfileobj(file, stream, CHUNK_BYTES)
         return
+    path = path.resolve()
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     # Not tempfile: its files are private (0600), and the umask should decide as for any new file.
     descriptor = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
@@ -91,3 +97,11 @@ def replacing(target: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether a path is a device, a pipe, a socket or a descriptor of this process."""
+    # /dev/stdout and /proc/self/fd/1 may lead to a regular file that others hold open.
+    if path.is_absolute() and path.parts[1:2] in {("dev",), ("proc",)}:
+        return path.exists()
+    return path.exists() and not path.is_file() and not path.is_dir()

@@ -60,9 +60,9 @@ _NOTES = {
         "PU-Net and MPU predict no normals: theirs are a PCA of 16 neighbours, as in the paper. "
         "A dash means: not measured. Reasons for differences from the paper: other shapes, on "
         "whose thin parts HD and the columns of surfaces depend; some hundred training steps "
-        "instead of 240,000 (normals are learned last, so reconstructed surfaces suffer most); another "
-        "implementation of EAR (`benchmarks/ear.py`), with normals of a fitted quadric whose signs "
-        "come from a spanning tree: where one is wrong, its surface is inside out."
+        "instead of 240,000 (normals are learned last, so reconstructed surfaces suffer most); "
+        "another implementation of EAR (`benchmarks/ear.py`), with normals of a fitted quadric "
+        "whose signs come from a spanning tree: where one is wrong, its surface is inside out."
     ),
     "normals": (
         "Normals of the same points, predicted or by PCA of 10 to 45 neighbours. The PCA's get the "

@@ -3,6 +3,7 @@
 
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,32 @@ def test_one_bad_file_does_not_end_the_run(pugeo: Run, scan: Run, tmp_path: Path
     assert f"error: {cut} (laz): " in done.stderr
     assert "none.laz: No such file" in done.stderr
     assert sorted(path.name for path in Path(out).iterdir()) == ["a.laz"]
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="needs /dev/fd")
+@pytest.mark.parametrize("suffix", ["ply", "laz", "npz"])
+def test_descriptors_are_written_and_not_replaced(
+    pugeo: Run, scan: Run, tmp_path: Path, suffix: str
+) -> None:
+    """A pipe, a named pipe, and a file that others append to (``>> log``) get the cloud."""
+    source = scan(f"a.{suffix}")
+    fifo, log = tmp_path / "fifo", tmp_path / "log"
+    os.mkfifo(fifo)
+    log.write_bytes(b"old")
+    inode = log.stat().st_ino
+    reader, writer = os.pipe()
+    named = os.open(fifo, os.O_RDWR)
+    with log.open("ab") as opened:
+        for out in (f"/dev/fd/{writer}", fifo, f"/dev/fd/{opened.fileno()}"):
+            done = pugeo("upsample", source, "-o", out, "-R", 2, "--format", suffix)
+            assert done.status == 0, done.stderr
+    clouds = [os.read(reader, 1 << 16), os.read(named, 1 << 16), log.read_bytes()[3:]]
+    assert [len(read(io.BytesIO(cloud))) for cloud in clouds] == [600] * 3
+    assert log.read_bytes().startswith(b"old")
+    assert log.stat().st_ino == inode
+    for descriptor in (reader, writer, named):
+        os.close(descriptor)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [source.name, "fifo", "log"]
 
 
 def test_existing_outputs(pugeo: Run, scan: Run, tmp_path: Path) -> None:
