@@ -33,7 +33,7 @@ def use_writable_folder() -> None:
     chosen = os.environ.get(_FOLDER_VARIABLE)
     if chosen and _is_writable(Path(chosen)):
         return
-    if not chosen and _is_writable(_PACKAGE):
+    if not chosen and _is_writable(_PACKAGE) and _is_writable(_PACKAGE / "__pycache__"):
         _drop_outdated()
     elif chosen or not _is_writable(_user_folder()):
         os.environ[_FOLDER_VARIABLE] = str(_temporary_folder())
@@ -83,10 +83,12 @@ def compile_kernels(
 
 
 def _compile_here() -> None:
-    """Upsample small clouds so that every kernel is compiled and stored."""
+    """Upsample small clouds so that every kernel of this is compiled and stored."""
     import numpy as np
 
     from pugeo_model.cloud import Cloud
+    from pugeo_model.options import Options
+    from pugeo_model.plan import make_plan
     from pugeo_model.upsampler import Upsampler
 
     rng = np.random.default_rng(0)
@@ -95,6 +97,10 @@ def _compile_here() -> None:
     upsampler = Upsampler()
     upsampler(Cloud(points), ratio=2.0)
     upsampler(Cloud(points[:600] + rng.normal(size=(600, 3), scale=0.02)), ratio=8.0)
+    # Several tiles, in which charts stand for many points each.
+    x, y, _ = np.indices((30, 30, 6)).reshape(3, -1)
+    frames = np.stack([x, y, rng.normal(size=len(x), scale=0.3)], axis=-1)
+    upsampler.upsample(make_plan(Cloud(frames), Options(2.0), tile_size=400))
     _marker().parent.mkdir(parents=True, exist_ok=True)
     _marker().touch()
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled kernels find a folder, wherever the package is installed."""
 
+import ast
 import os
 import shutil
 import subprocess
@@ -94,3 +95,23 @@ def test_a_compilation_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(kernel_cache, "_COMPILE", "raise SystemExit('no compiler')")
     with pytest.raises(RuntimeError, match="no compiler"):
         kernel_cache.compile_kernels(lambda _: None)
+
+
+@pytest.mark.long
+def test_all_kernels_of_an_upsampling_are_compiled(root: Path, tmp_path: Path) -> None:
+    """No kernel is left to be compiled silently by the first large or noisy scan."""
+    package = root / "model" / "pugeo_model"
+    defined = {
+        f"{path.stem}.{node.name}"
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and any("njit" in ast.unparse(each) for each in node.decorator_list)
+    }
+    code = "from pugeo_model.kernel_cache import _compile_here; _compile_here()"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    stored = {path.name.rsplit("-", 1)[0] for path in tmp_path.rglob("*.nbi")}
+    # These are of training, of networks that upsample whole patches, and of CPUs with bfloat16.
+    elsewhere = {"pooling", "farthest", "bfloat16"}
+    assert {name for name in defined - stored if name.split(".")[0] not in elsewhere} == set()
