@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of an input, checked before anything is allocated for it."""
+"""Limits of an input, checked before anything is allocated for it, and of the notes on it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from pugeo_model.errors import LimitExceededError
 
-__all__ = ["DEFAULT_LIMITS", "Declared", "Limits"]
+__all__ = ["DEFAULT_LIMITS", "Declared", "Limits", "bounded_notes", "shortened"]
+
+_MOST_NOTES = 50
+_NOTE_CHARACTERS = 500
 
 
 @dataclass(frozen=True)
@@ -14,8 +18,8 @@ class Limits:
 
     Attributes:
         max_points: points of a cloud.
-        max_header_bytes: bytes of a PLY or PCD header, of a zip archive's directory, and of the
-            header of an array.
+        max_header_bytes: bytes of a PLY or PCD header, of a zip archive's directory, of the header
+            of an array, and of the headers of all its arrays beyond the usual size of each.
         max_header_lines: lines of a PLY header.
         max_bytes: bytes of a file, and of the points with all attributes that it unpacks to.
     """
@@ -66,3 +70,26 @@ class Declared:
 
 
 DEFAULT_LIMITS = Limits()
+
+
+def shortened(text: str, most: int) -> str:
+    """Return a text of at most ``most`` characters; a longer one is cut and ends in three dots."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def bounded_notes(notes: Iterable[str]) -> tuple[str, ...]:
+    """Bound the notes on a cloud in their number and in the length of each.
+
+    A file decides how many properties a reader drops and how long their names are. Notes are shown
+    to people and stored with results, so they must not grow with the file.
+
+    Returns:
+        At most 50 notes of at most 500 characters. If some are left out, the last one says how
+        many. Notes that were bounded before stay as they are.
+    """
+    every = list(notes)
+    kept = every if len(every) <= _MOST_NOTES else every[: _MOST_NOTES - 1]
+    found = [shortened(note, _NOTE_CHARACTERS) for note in kept]
+    if len(kept) < len(every):
+        found.append(f"{len(every) - len(kept):,} more notes are left out.")
+    return tuple(found)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pugeo_model.cloud import Cloud
 from pugeo_model.errors import CloudError, LimitExceededError, MalformedFileError
 from pugeo_model.formats.colors import to_channels
-from pugeo_model.formats.limits import Declared, Limits
+from pugeo_model.formats.limits import Declared, Limits, bounded_notes, shortened
 from pugeo_model.formats.meaning import from_array
 from pugeo_model.formats.stream import bytes_left
 
@@ -35,6 +35,12 @@ _ZIP = b"PK\x03\x04"
 _KNOWN = ("points", "normals", "colors")
 _READ_BYTES = 1 << 20
 _FEWEST_COLUMNS, _MOST_COLUMNS = 3, 256  # of a single array
+_MOST_AXES = 64  # of an array of NumPy
+_MOST_EXTENT = (1 << 63) - 1
+_SHOWN_CHARACTERS = 60  # of a type or shape, in messages
+# NumPy pads a header to so many bytes, if its type has no fields.
+_USUAL_HEADER_BYTES = 128
+_SHAPE = re.compile(rb"""shape['"]\s*:\s*[(\[]([^)\]]*)""")
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Version of the npy format -> bytes of the length of a header, and numpy's parser of it.
 _HEADERS: dict[tuple[int, int], tuple[int, Callable[..., Any]]] = {
@@ -114,15 +120,17 @@ def write(cloud: Cloud, file: IO[bytes]) -> None:
 
 @dataclass(frozen=True)
 class _Declared:
-    """An array as its header describes it."""
+    """An array as its header describes it, with the size of that header beyond the usual."""
 
     name: str
     shape: tuple[int, ...]
     fortran: bool
     dtype: np.dtype[Any]
+    beyond_usual: int
 
     def __str__(self) -> str:
-        return f"{self.dtype} {self.shape}"
+        shown = (shortened(str(each), _SHOWN_CHARACTERS) for each in (self.dtype, self.shape))
+        return " ".join(shown)
 
     @property
     def size(self) -> int:
@@ -199,7 +207,13 @@ def _single_array(file: IO[bytes], limits: Limits) -> _Declared:
     return array
 
 
-def _declared(file: IO[bytes], name: str, limits: Limits) -> _Declared:
+def _declared(file: IO[bytes], name: str, limits: Limits, others: int = 0) -> _Declared:
+    """Read the header of an array.
+
+    A thousand headers of 10 kB deflate to nothing and take half a minute to parse. So the bytes
+    beyond the usual size of each are bounded in total as well.
+    ``others`` are those of the arrays before it.
+    """
     version = npy.read_magic(file)
     if version not in _HEADERS:
         raise _bad(f"Array {name!r} has version {version} of the npy format, not 1.0 or 2.0.")
@@ -209,18 +223,27 @@ def _declared(file: IO[bytes], name: str, limits: Limits) -> _Declared:
     length = file.read(width)
     claimed = int.from_bytes(length, "little")
     limits.check("max_header_bytes", claimed, f"Bytes of the header of array {name!r}")
-    shape, fortran, dtype = parse(io.BytesIO(length + file.read(claimed)))
+    beyond = max(0, claimed - _USUAL_HEADER_BYTES)
+    what = f"Bytes of the headers of all arrays beyond {_USUAL_HEADER_BYTES} of each"
+    limits.check("max_header_bytes", others + beyond, what)
+    header = file.read(claimed)
+    found = _SHAPE.search(header)
+    if found is not None and found[1].count(b",") > _MOST_AXES:
+        raise _bad(f"Array {name!r} has more than the {_MOST_AXES} axes that NumPy allows.")
+    shape, fortran, dtype = parse(io.BytesIO(length + header))
     if dtype.hasobject:
         raise _bad(f"Array {name!r} holds Python objects, which are never unpickled.")
-    if any(extent < 0 for extent in shape):
-        raise _bad(f"Array {name!r} has a negative extent.")
-    return _Declared(name, shape, fortran, dtype)
+    # The pattern does not know each way in which a shape can be written.
+    if len(shape) > _MOST_AXES or any(not 0 <= extent <= _MOST_EXTENT for extent in shape):
+        raise _bad(f"Array {name!r} has a negative extent, or one that is too large, or many axes.")
+    return _Declared(name, shape, fortran, dtype, beyond)
 
 
 def _contents(archive: zipfile.ZipFile, limits: Limits) -> _Contents:
     """Read the headers of all arrays and check them against the limits."""
     arrays: dict[str, _Declared] = {}
     entries: dict[str, zipfile.ZipInfo] = {}
+    beyond = 0
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")
         if name in entries:
@@ -228,7 +251,8 @@ def _contents(archive: zipfile.ZipFile, limits: Limits) -> _Contents:
         _check_method(name, entry)
         entries[name] = entry
         with archive.open(entry) as member:
-            arrays[name] = _declared(member, name, limits)
+            arrays[name] = _declared(member, name, limits, beyond)
+        beyond += arrays[name].beyond_usual
     if "points" not in arrays:
         found = ", ".join(sorted(arrays)[:20]) or "nothing"
         raise _bad(f"The archive has no array 'points' (M, 3); it holds {found}.")
@@ -251,19 +275,20 @@ def _read_archive(file: IO[bytes], limits: Limits) -> Cloud:
                 again = _declared(member, array.name, limits)
                 arrays[array.name] = again.read(member, entry.file_size)
 
+    dropped = contents.arrays.keys() - arrays.keys()
     points = _points(arrays.pop("points"))
     normals = _normals(arrays.pop("normals")) if "normals" in arrays else None
     notes = [
         f"Array {name!r} ({each}) is dropped: a scalar would be numeric of shape "
         f"({contents.count},)."
         for name, each in contents.arrays.items()
-        if each not in contents.wanted
+        if name in dropped
     ]
     colors: NDArray[Any] | None = None
     if "colors" in arrays:
         colors, note = to_channels(arrays.pop("colors"))
         notes += [note] if note else []
-    return Cloud(points, normals, colors, arrays, tuple(notes))
+    return Cloud(points, normals, colors, arrays, bounded_notes(notes))
 
 
 def _check_known(declared: dict[str, _Declared]) -> int:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pugeo_model import Cloud, LimitExceededError, MalformedFileError
-from pugeo_model.formats import read, write
+from pugeo_model.formats import npz, read, write
 
 Parse = Callable[..., Cloud]
 Dump = Callable[[Cloud, str], bytes]
@@ -214,6 +214,73 @@ def test_zip64_directory(parse: Parse) -> None:
     end = data.rindex(b"PK\x05\x06")
     with pytest.raises(LimitExceededError):
         parse(data[:end] + b"PK\x06\x07" + bytes(16) + data[end:])
+
+
+@pytest.fixture
+def parsed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the headers that were parsed."""
+    sizes: list[int] = []
+
+    def counting(parse: Callable[..., Any]) -> Callable[..., Any]:
+        def count(file: io.BytesIO) -> Any:
+            sizes.append(file.getbuffer().nbytes)
+            return parse(file)
+
+        return count
+
+    headers = {key: (width, counting(parse)) for key, (width, parse) in npz._HEADERS.items()}
+    monkeypatch.setattr(npz, "_HEADERS", headers)
+    return sizes
+
+
+def test_headers_are_bounded_together(parse: Parse, parsed: list[int]) -> None:
+    """A thousand long headers in a small archive are refused once some of them are parsed."""
+    long = declaring(f"({'1, ' * 60}{' ' * 9_700})")
+    data = zipped({"points.npy": array(P)} | {f"{index:x}": long for index in range(1_100)})
+    assert len(data) < 250_000
+    with pytest.raises(LimitExceededError) as caught:
+        parse(data)
+    assert caught.value.fields["name"] == "max_header_bytes"
+    assert 0 < sum(parsed) < 70_000
+
+
+def test_many_scalars_are_read(parse: Parse, dump: Dump) -> None:
+    """A thousand scalars with headers of the usual size are no attack."""
+    scalars = {f"s{index}": np.array([index]) for index in range(1_000)}
+    back = parse(dump(Cloud(np.zeros((1, 3)), scalars=scalars), "npz"))
+    assert list(back.scalars) == list(scalars)
+
+
+def test_axes_are_bounded(parse: Parse, parsed: list[int]) -> None:
+    """A shape of more axes than NumPy allows is refused, before it is parsed where it can be."""
+    for data in (declaring(f"({'1,' * 3_000})"), declaring(f"({'1,' * 66})")):
+        for each in (data, zipped({"points.npy": array(P), "extra.npy": data})):
+            parsed.clear()
+            with pytest.raises(MalformedFileError, match="axes"):
+                parse(each)
+            assert max(parsed, default=0) < 200
+    hidden = declaring(f"({'1,' * 65})").replace(b"'shape'", b"'sh''ape'")
+    hidden = hidden[:8] + struct.pack("<H", len(hidden) - 10) + hidden[10:]
+    with pytest.raises(MalformedFileError, match="axes"):
+        parse(zipped({"points.npy": array(P), "extra.npy": hidden}))
+
+
+def test_an_extent_beyond_64_bits(parse: Parse) -> None:
+    """An extent that Python would not even print is refused, also of an array without a meaning."""
+    huge = declaring(f"(0x{'f' * 5_000},)")
+    with pytest.raises(MalformedFileError, match="too large"):
+        parse(zipped({"points.npy": array(P), "extra.npy": huge}))
+
+
+def test_notes_are_few_and_short(parse: Parse) -> None:
+    """Hundreds of arrays without a meaning give some notes, with shapes and names cut short."""
+    odd = declaring(f"({'1, ' * 64})") + bytes(8)
+    names = ["x" * 2_000, *(f"n{index}" for index in range(300))]
+    notes = parse(zipped({"points.npy": array(P)} | dict.fromkeys(names, odd))).notes
+    assert len(notes) == 50
+    assert max(len(note) for note in notes) <= 500
+    assert notes[-1] == "252 more notes are left out."
+    assert "1,...) is dropped: a scalar would be" in notes[1]
 
 
 def test_numpy_reads_ours(rich: Cloud, dump: Dump) -> None:
