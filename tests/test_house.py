@@ -190,6 +190,24 @@ def test_errors_end_in_error(root: Path) -> None:
     assert [name for name in sorted(raised) if not name.endswith("Error")] == []
 
 
+def test_a_name_has_one_meaning(root: Path) -> None:
+    """No two public classes of the model and the service share a name.
+
+    A format is a package of its own, in which a header is that of its files.
+    """
+    seen: dict[str, Path] = {}
+    twice = []
+    for path in sources(root, "model", "service"):
+        if "formats" in path.parts:
+            continue
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                if node.name in seen:
+                    twice.append(f"{node.name}: {seen[node.name]} and {path}")
+                seen[node.name] = path
+    assert not twice
+
+
 def test_no_test_measures_wall_clock_time(root: Path) -> None:
     """A busy machine must not fail a test: no assertion compares a clock with a number."""
     # A loop that waits may bound its patience ("< end"); a figure of speed may not be a bound.

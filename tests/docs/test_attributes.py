@@ -22,8 +22,7 @@ from tests.http_client import HTTP
 
 from pugeo_client import Client
 from pugeo_model.cli.local import run_here
-from pugeo_model.cli.tasks import Settings as TaskSettings
-from pugeo_model.cli.tasks import Task
+from pugeo_model.cli.tasks import Task, TaskSettings
 from pugeo_model.cloud import Cloud, SourceInfo
 from pugeo_model.formats import WRITABLE, dropped, read, write
 from pugeo_service.app import create_app

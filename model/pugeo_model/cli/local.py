@@ -16,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import TYPE_CHECKING, Any
 
-from pugeo_model.cli.tasks import Outcome, Settings, Task, label
+from pugeo_model.cli.tasks import Outcome, Task, TaskSettings, label
 from pugeo_model.errors import CloudError
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ MOST_PROCESSES = 61
 _POLL_S = 0.5
 
 
-def run_here(tasks: Sequence[Task], settings: Settings, progress: Progress) -> Iterator[Outcome]:
+def run_here(
+    tasks: Sequence[Task], settings: TaskSettings, progress: Progress
+) -> Iterator[Outcome]:
     """Do tasks one after the other in this process, and yield their outcomes.
 
     Raises:
@@ -56,7 +58,7 @@ def run_here(tasks: Sequence[Task], settings: Settings, progress: Progress) -> I
 
 
 def run_in_processes(
-    tasks: Sequence[Task], settings: Settings, workers: int, progress: Progress
+    tasks: Sequence[Task], settings: TaskSettings, workers: int, progress: Progress
 ) -> Iterator[Outcome]:
     """Do tasks in some processes, and yield their outcomes as they come.
 
@@ -139,7 +141,7 @@ _process: dict[str, Any] = {}
 """Of a process of `run_in_processes`: its settings, its network, and the parts done."""
 
 
-def _start(settings: Settings, parts: Any) -> None:
+def _start(settings: TaskSettings, parts: Any) -> None:
     """Prepare a process: load the network, and let signals end its task cleanly."""
     from pugeo_model.upsampler import Upsampler
 
@@ -160,7 +162,10 @@ def _do(number: int, task: Task) -> Outcome:
 
 
 def do_task(
-    task: Task, settings: Settings, upsampler: "Upsampler", progress: Callable[[str, float], None]
+    task: Task,
+    settings: TaskSettings,
+    upsampler: "Upsampler",
+    progress: Callable[[str, float], None],
 ) -> Outcome:
     """Read, upsample and write one cloud; an error becomes the outcome.
 
@@ -185,7 +190,10 @@ def do_task(
 
 
 def _write_dense(
-    task: Task, settings: Settings, upsampler: "Upsampler", progress: Callable[[str, float], None]
+    task: Task,
+    settings: TaskSettings,
+    upsampler: "Upsampler",
+    progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Do a task; returns its report."""
     from pugeo_model import formats

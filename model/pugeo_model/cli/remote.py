@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from pugeo_model.cli.local import Progress
-from pugeo_model.cli.tasks import CommandError, Outcome, Settings, Task, label
+from pugeo_model.cli.tasks import CommandError, Outcome, Task, TaskSettings, label
 
 __all__ = ["RemoteService", "connect", "run_remotely"]
 
@@ -63,7 +63,7 @@ def connect(url: str, *, as_jobs: bool) -> RemoteService:
 def run_remotely(
     service: RemoteService,
     tasks: Sequence[Task],
-    settings: Settings,
+    settings: TaskSettings,
     workers: int,
     progress: Progress,
 ) -> Iterator[Outcome]:

@@ -9,7 +9,7 @@ import typer
 
 from pugeo_model.install import install_hint
 
-__all__ = ["CommandError", "Outcome", "Settings", "Task", "label", "needed_extra"]
+__all__ = ["CommandError", "Outcome", "Task", "TaskSettings", "label", "needed_extra"]
 
 
 class CommandError(Exception):
@@ -38,7 +38,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Settings:
+class TaskSettings:
     """The same for all tasks of a run.
 
     Attributes:

@@ -13,7 +13,7 @@ from pugeo_model.cli.display import Display, say
 from pugeo_model.cli.inputs import expand
 from pugeo_model.cli.outputs import check_replaced, folder_of, make_tasks
 from pugeo_model.cli.summary import Summary
-from pugeo_model.cli.tasks import CommandError, Outcome, Settings, Task, label
+from pugeo_model.cli.tasks import CommandError, Outcome, Task, TaskSettings, label
 
 __all__ = ["upsample"]
 
@@ -99,7 +99,7 @@ def upsample(
     Exit status: 0; 1 for an unexpected error; 2 for an input or option that cannot be used; 3 if
     some of several inputs failed.
     """
-    settings = Settings(
+    settings = TaskSettings(
         _checked_options(
             ratio=ratio,
             n_points=n_points,
@@ -147,7 +147,7 @@ def upsample(
 
 def _run(
     tasks: list[Task],
-    settings: Settings,
+    settings: TaskSettings,
     workers: int | None,
     display: Display,
     *,

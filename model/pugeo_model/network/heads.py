@@ -15,7 +15,7 @@ from pugeo_model.network.linear import Linear, Rectified
 from pugeo_model.network.pattern import DISK_SIDE, disk
 from pugeo_model.network.precision import wide_products
 
-__all__ = ["LOG_ERROR", "Frame", "Samples", "Surface", "combine", "quadric"]
+__all__ = ["LOG_ERROR", "Frame", "Samples", "SurfaceHead", "combine", "quadric"]
 
 LOG_ERROR = -3.0
 """Log of the error, in spacings, that an untrained head predicts."""
@@ -139,7 +139,7 @@ class Samples(nn.Module):
         return uv
 
 
-class Surface(nn.Module):
+class SurfaceHead(nn.Module):
     """f3 and f4: displacement along the normal (eq. 7) and normal offset (eq. 8) at any (u, v).
 
     It also predicts the log of its own error, which weights charts and candidates.

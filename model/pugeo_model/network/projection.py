@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from pugeo_model.network.heads import Surface
+from pugeo_model.network.heads import SurfaceHead
 from pugeo_model.network.pugeo import Charts, evaluate
 from pugeo_model.tuning import TUNING
 
@@ -37,7 +37,7 @@ def parametrise(charts: Charts, offsets: Tensor) -> Tensor:
 
 
 def blend(
-    surface: Surface,
+    surface: SurfaceHead,
     charts: Charts,
     offsets: Tensor,
     axes: Tensor,

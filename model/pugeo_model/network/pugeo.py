@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pugeo_model.network.backbones import BACKBONES
-from pugeo_model.network.heads import Frame, Samples, Surface
+from pugeo_model.network.heads import Frame, Samples, SurfaceHead
 from pugeo_model.network.neighbourhoods import Neighbourhoods
 from pugeo_model.network.precision import wide_products
 
@@ -84,7 +84,7 @@ class PUGeoNet(nn.Module):
         self.frame = Frame(features, learned=self.architecture.linear_map)
         head = self.architecture.head
         self.samples = Samples(features, head // 2, learned=self.architecture.adaptive_uv)
-        self.surface = Surface(features, head, head // 2)
+        self.surface = SurfaceHead(features, head, head // 2)
 
     def forward(self, hoods: Neighbourhoods, quadric: Tensor, count: int) -> tuple[Charts, Tensor]:
         """Predict the charts of the core points and their adaptive samples.
@@ -107,7 +107,7 @@ class PUGeoNet(nn.Module):
         return Charts(frame[:core], code[:core], lift[:core], quadric), uv[:core]
 
 
-def evaluate(surface: Surface, charts: Charts, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def evaluate(surface: SurfaceHead, charts: Charts, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Evaluate points and normals of charts at (u, v) (eq. 4, 6 and 8).
 
     ``x = T (u, v, 0) + delta T (0, 0, 1)`` and ``n = T (offset + (0, 0, 1))``, normalised.

@@ -28,13 +28,13 @@ from pugeo_model.resample.atlas import BLENDED_CHARTS
 from pugeo_model.training.batches import Sample
 from pugeo_model.training.corpus import Shape
 
-__all__ = ["JointLoss", "Weights"]
+__all__ = ["JointLoss", "LossWeights"]
 
 _QUERIES = 3  # points per chart at which it is blended with others
 
 
 @dataclass(frozen=True)
-class Weights:
+class LossWeights:
     """Weights of the terms of the loss, and of noisy patches.
 
     Attributes:
@@ -85,7 +85,7 @@ class _Batch:
 
     @classmethod
     def of(cls, samples: Sequence[Sample], noise: float) -> "_Batch":
-        """Concatenate samples; ``noise`` as in `Weights`."""
+        """Concatenate samples; ``noise`` as in `LossWeights`."""
         core = [sample.patch.core for sample in samples]
         start = np.cumsum([0, *core[:-1]])
         frames = [sample.patch.frames for sample in samples]
@@ -112,9 +112,9 @@ class JointLoss:
         weights: weights of the terms.
     """
 
-    def __init__(self, shapes: Sequence[Shape], weights: Weights | None = None) -> None:
+    def __init__(self, shapes: Sequence[Shape], weights: LossWeights | None = None) -> None:
         self.shapes = shapes
-        self.weights = weights or Weights()
+        self.weights = weights or LossWeights()
         self._distances: dict[int, MeshDistance] = {}
 
     def __call__(

@@ -10,7 +10,7 @@ from typing import Any
 from pugeo_model.errors import BadOptionError
 from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
-from pugeo_model.training.losses import Weights
+from pugeo_model.training.losses import LossWeights
 from pugeo_model.training.patches.settings import Augmentation, PatchSettings, PatchWeights
 from pugeo_model.training.trainer import Recipe
 
@@ -21,7 +21,7 @@ _FOLDER = Path(__file__).parent / "recipes"
 _TABLES: dict[str, Any] = {
     "architecture": Architecture,
     "mix": Mix,
-    "weights": Weights,
+    "weights": LossWeights,
     "patches": PatchSettings,
 }
 _PATCH_TABLES: dict[str, Any] = {"augmentation": Augmentation, "weights": PatchWeights}

@@ -19,7 +19,7 @@ from pugeo_model.network.pugeo import Architecture
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
 from pugeo_model.training.corpus import Shape
-from pugeo_model.training.losses import JointLoss, Weights
+from pugeo_model.training.losses import JointLoss, LossWeights
 from pugeo_model.training.optimizer import Optimizer
 from pugeo_model.training.patches.settings import PatchSettings
 from pugeo_model.weights import start_from
@@ -51,7 +51,7 @@ class Recipe:
 
     architecture: Architecture = field(default_factory=Architecture)
     mix: Mix = field(default_factory=Mix)
-    weights: Weights = field(default_factory=Weights)
+    weights: LossWeights = field(default_factory=LossWeights)
     steps: int = 85_500
     rate: float = 2e-3
     warmup: int = 200

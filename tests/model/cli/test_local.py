@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from pugeo_model.cli.local import run_here, run_in_processes
-from pugeo_model.cli.tasks import Outcome, Settings, Task
+from pugeo_model.cli.tasks import Outcome, Task, TaskSettings
 
-SETTINGS = Settings({"ratio": 2.0})
+SETTINGS = TaskSettings({"ratio": 2.0})
 
 
 @pytest.fixture

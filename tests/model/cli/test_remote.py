@@ -12,7 +12,7 @@ import pytest
 
 from pugeo_model.cli import remote
 from pugeo_model.cli.remote import connect, run_remotely
-from pugeo_model.cli.tasks import CommandError, Outcome, Settings, Task
+from pugeo_model.cli.tasks import CommandError, Outcome, Task, TaskSettings
 
 
 class BusyError(Exception):
@@ -64,7 +64,7 @@ def test_tasks(tmp_path: Path) -> None:
         for name in ("a", "bad", "missing")
     ]
     told: list[str] = []
-    settings = Settings({"ratio": 5.0})
+    settings = TaskSettings({"ratio": 5.0})
     service = InMemory("here", as_jobs=False)
     outcomes = list(run_remotely(service, tasks, settings, 3, lambda text, _: told.append(text)))
     assert [each.status for each in outcomes] == ["written", "failed", "failed"]

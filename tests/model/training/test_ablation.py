@@ -10,7 +10,7 @@ import torch
 from pugeo_model.network.pugeo import PUGeoNet
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
-from pugeo_model.training.losses import JointLoss, Weights
+from pugeo_model.training.losses import JointLoss, LossWeights
 from pugeo_model.training.recipes import available_recipes, read_recipe
 from pugeo_model.training.trainer import Trainer
 
@@ -40,8 +40,8 @@ def test_without_normal_weights_no_normal_has_a_say(shapes, small):
         loss, parts = JointLoss(shapes, weights)(net, count, samples, np.random.default_rng(0))
         return float(loss.detach()), parts
 
-    bare, parts = total(Weights(coarse_normal=0.0, refined_normal=0.0))
-    full, _ = total(Weights())
-    w = Weights()
+    bare, parts = total(LossWeights(coarse_normal=0.0, refined_normal=0.0))
+    full, _ = total(LossWeights())
+    w = LossWeights()
     extra = w.coarse_normal * parts["coarse_normal"] + w.refined_normal * parts["refined_normal"]
     assert full - bare == pytest.approx(extra + w.blended * parts["blended_normal"] / 6, rel=1e-4)

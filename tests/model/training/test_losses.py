@@ -10,7 +10,7 @@ import torch
 from pugeo_model.network.pugeo import PUGeoNet
 from pugeo_model.training.augment import Mix
 from pugeo_model.training.batches import Batches
-from pugeo_model.training.losses import JointLoss, Weights, _pseudo_huber, _unoriented
+from pugeo_model.training.losses import JointLoss, LossWeights, _pseudo_huber, _unoriented
 
 
 def loss_of(shapes, net, samples, weights=None):
@@ -53,7 +53,7 @@ def test_weights_scale_their_terms(shapes, net, samples):
     """The weight of a term changes the total by the term times the difference."""
     with torch.no_grad():
         base, parts = loss_of(shapes, net, samples)
-        more, _ = loss_of(shapes, net, samples, replace(Weights(), coverage=2.0))
+        more, _ = loss_of(shapes, net, samples, replace(LossWeights(), coverage=2.0))
     assert float(more - base) == pytest.approx(parts["coverage"], rel=1e-4)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.errors import MalformedFileError
 from pugeo_model.formats.ply.header import Element
-from pugeo_model.formats.ply.walk import find_segments, segment_plan
+from pugeo_model.formats.ply.walk import find_segments, row_layout
 from pugeo_model.formats.stream import CHUNK_BYTES, bytes_left
 
 __all__ = ["read_rows"]
@@ -149,14 +149,14 @@ def _read_walking(
     file: IO[bytes], element: Element, order: str, sinks: Sinks, done: int, start: int
 ) -> None:
     """Read rows of different sizes, from row ``done`` on; the first row began at ``start``."""
-    plan = segment_plan(element, order)
+    layout = row_layout(element, order)
     data = b""
     while done < element.count:
         fresh = file.read(max(CHUNK_BYTES, len(data)))
         data += fresh
         step = min(element.count - done, len(data) // element.least_row_bytes, CHUNK_BYTES)
         offsets, used, broken = find_segments(
-            np.frombuffer(data, np.uint8), step, plan, order == ">"
+            np.frombuffer(data, np.uint8), step, layout, order == ">"
         )
         if broken:
             raise _bad_list(element, done + len(offsets))
@@ -166,7 +166,7 @@ def _read_walking(
             least = max(found - len(data) + missing, found + 1)
             raise truncated(element, least, found, done)
         for name, sink in sinks.items():
-            segment, shift, kind = plan.fields[name]
+            segment, shift, kind = layout.fields[name]
             places = (offsets[:, segment] + shift)[:, None] + np.arange(kind.itemsize)
             values = np.frombuffer(data, np.uint8)[places].view(kind)[:, 0]
             with np.errstate(over="ignore", invalid="ignore"):

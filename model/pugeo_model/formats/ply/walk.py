@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pugeo_model.formats.ply.header import Element
 
-__all__ = ["Plan", "find_segments", "segment_plan"]
+__all__ = ["RowLayout", "find_segments", "row_layout"]
 
 
 @dataclass(frozen=True)
-class Plan:
+class RowLayout:
     """A row as fixed segments, each followed by a list (the last one by nothing).
 
     Attributes:
@@ -28,7 +28,7 @@ class Plan:
     fields: dict[str, tuple[int, int, np.dtype[Any]]]
 
 
-def segment_plan(element: Element, order: str) -> Plan:
+def row_layout(element: Element, order: str) -> RowLayout:
     """Cut a row into segments between lists."""
     spans: list[tuple[int, int, int, int]] = []
     fields: dict[str, tuple[int, int, np.dtype[Any]]] = {}
@@ -43,11 +43,11 @@ def segment_plan(element: Element, order: str) -> Plan:
             spans.append((shift, count.itemsize, int(count.kind == "i"), item.itemsize))
             shift = 0
     spans.append((shift, 0, 0, 0))
-    return Plan(np.array(spans, np.int64), fields)
+    return RowLayout(np.array(spans, np.int64), fields)
 
 
 def find_segments(
-    data: NDArray[np.uint8], count: int, plan: Plan, big_endian: bool
+    data: NDArray[np.uint8], count: int, layout: RowLayout, big_endian: bool
 ) -> tuple[NDArray[np.int64], int, bool]:
     """Find where the segments of up to ``count`` rows begin.
 
@@ -55,8 +55,8 @@ def find_segments(
         ``(n, S)`` byte offsets for the ``n`` rows that lie wholly in ``data``; the bytes they
         take; and whether the row after them has a list of impossible length.
     """
-    offsets = np.empty((count, len(plan.spans)), np.int64)
-    rows, used, broken = _compiled()(data, plan.spans, big_endian, offsets)
+    offsets = np.empty((count, len(layout.spans)), np.int64)
+    rows, used, broken = _compiled()(data, layout.spans, big_endian, offsets)
     return offsets[:rows], int(used), bool(broken)
 
 

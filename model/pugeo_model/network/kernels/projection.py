@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from pugeo_model.network.heads import LOG_ERROR, Surface
+from pugeo_model.network.heads import LOG_ERROR, SurfaceHead
 from pugeo_model.network.kernels.bfloat16 import bits, to_bfloat16, to_float32
 from pugeo_model.network.precision import bfloat16_pays
 from pugeo_model.network.projection import FALLOFF, TRUST
@@ -35,7 +35,7 @@ class Projector:
         surface: the head; its weights are copied.
     """
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: SurfaceHead) -> None:
         # Rounded to bfloat16 once, as autocast would in each call. Where bfloat16 is emulated,
         # the rounded numbers are multiplied in float32.
         self.kind = torch.bfloat16 if bfloat16_pays() else torch.float32

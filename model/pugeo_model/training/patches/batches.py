@@ -14,11 +14,11 @@ from pugeo_model.geometry.overlapping import normalise_patch
 from pugeo_model.training.patches.corpus import Pair
 from pugeo_model.training.patches.settings import Augmentation
 
-__all__ = ["PatchBatch", "PatchBatches"]
+__all__ = ["PatchBatches", "TrainingBatch"]
 
 
 @dataclass(frozen=True, eq=False)
-class PatchBatch:
+class TrainingBatch:
     """A batch of training patches, float32, lengths in patch radii.
 
     Attributes:
@@ -34,7 +34,7 @@ class PatchBatch:
     dense_normals: NDArray[np.float32]
 
 
-class PatchBatches(Dataset[PatchBatch]):
+class PatchBatches(Dataset[TrainingBatch]):
     """Batch number ``step``, drawn from ``(seed, step)`` alone, so that training resumes exactly.
 
     Args:
@@ -62,11 +62,11 @@ class PatchBatches(Dataset[PatchBatch]):
             for pair in pairs
         ]
 
-    def __getitem__(self, step: int) -> PatchBatch:
+    def __getitem__(self, step: int) -> TrainingBatch:
         """Return batch ``step``."""
         rng = np.random.default_rng([self.seed, step])
         drawn = [self._draw(rng) for _ in range(self.batch)]
-        return PatchBatch(*(np.stack(parts) for parts in zip(*drawn, strict=True)))
+        return TrainingBatch(*(np.stack(parts) for parts in zip(*drawn, strict=True)))
 
     def _draw(self, rng: np.random.Generator) -> tuple[NDArray[np.float32], ...]:
         shape = int(rng.integers(len(self.pairs)))

@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 from pugeo_model.network.build import build_network
 from pugeo_model.training.corpus import Shape, default_cache
 from pugeo_model.training.optimizer import Optimizer
-from pugeo_model.training.patches.batches import PatchBatch, PatchBatches
+from pugeo_model.training.patches.batches import PatchBatches, TrainingBatch
 from pugeo_model.training.patches.corpus import load_pairs
 from pugeo_model.training.patches.losses import PatchLoss
 from pugeo_model.training.patches.settings import Augmentation, PatchSettings
@@ -55,7 +55,7 @@ class PatchTrainer(Trainer):
         pairs = load_pairs(shapes, ratio, default_cache())
         return PatchBatches(pairs, ratio, settings.size, settings.batch, amounts, seed)
 
-    def _losses(self, batch: PatchBatch) -> tuple[Tensor, dict[str, float]]:
+    def _losses(self, batch: TrainingBatch) -> tuple[Tensor, dict[str, float]]:
         points, normals, dense, dense_normals = (
             torch.from_numpy(part)
             for part in (batch.points, batch.normals, batch.dense, batch.dense_normals)

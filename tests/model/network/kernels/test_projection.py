@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from pugeo_model.geometry.frames import Frames
-from pugeo_model.network.heads import Surface
+from pugeo_model.network.heads import SurfaceHead
 from pugeo_model.network.kernels import projection
 from pugeo_model.network.kernels.projection import Projector
 from pugeo_model.network.precision import wide_products
@@ -52,7 +52,7 @@ def queries() -> ProjectionQuery:
 def test_the_compiled_projection_equals_its_definition(queries: ProjectionQuery) -> None:
     """Steps, normals and predicted errors equal those of ``blend`` up to bfloat16."""
     torch.manual_seed(0)
-    surface = Surface(16, WIDTH, 64)
+    surface = SurfaceHead(16, WIDTH, 64)
     with torch.no_grad():
         surface.out.weight.mul_(30.0)
     atlas, frames = queries.atlas, queries.atlas.frames
@@ -85,7 +85,7 @@ def test_the_compiled_projection_equals_its_definition(queries: ProjectionQuery)
 
 def test_a_projection_is_reproducible(queries: ProjectionQuery) -> None:
     """The same queries give the same bytes, with used buffers too."""
-    projector = Projector(Surface(16, WIDTH, 64))
+    projector = Projector(SurfaceHead(16, WIDTH, 64))
     once, twice = projector(queries), projector(queries)
     assert all(np.array_equal(once[part], twice[part]) for part in range(3))
 
@@ -94,7 +94,7 @@ def test_a_processor_without_bfloat16(
     queries: ProjectionQuery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the wide layer in float32 the results are nearly the same."""
-    surface = Surface(16, WIDTH, 64)
+    surface = SurfaceHead(16, WIDTH, 64)
     projected = []
     for pays in (True, False):
         monkeypatch.setattr(projection, "bfloat16_pays", lambda pays=pays: pays)
