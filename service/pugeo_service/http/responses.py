@@ -96,7 +96,16 @@ class SpoolResponse(Response):
 
 
 def _notes(notes: list[str]) -> str:
-    kept = list(notes)
-    while len(text := json.dumps(kept)) > _NOTES_BYTES:
-        kept.pop()
-    return text
+    """Return the first notes as far as there is room for them."""
+    kept: list[str] = []
+    size = len("[]")
+    for note in notes:
+        # No text is shorter in JSON.
+        if size + len(note) > _NOTES_BYTES:
+            break
+        text = json.dumps(note)
+        size += len(text) + (len(", ") if kept else 0)
+        if size > _NOTES_BYTES:
+            break
+        kept.append(text)
+    return f"[{', '.join(kept)}]"
