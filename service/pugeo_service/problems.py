@@ -23,6 +23,7 @@ from pugeo_service.json_encoding import encode_json
 
 __all__ = [
     "MEDIA_TYPE",
+    "NO_SETTING",
     "PROBLEM_SCHEMA",
     "ProblemError",
     "bug",
@@ -50,7 +51,7 @@ _CODE = {
     422: "bad_option",
 }
 _RETRYABLE = frozenset({408, 429, 503, 504})
-# Limit in an error of the model -> the setting that raises it.
+# Limit in an error of the model -> the setting that raises it. Other limits have none.
 _SETTINGS = {
     "max_points": "PUGEO_MAX_POINTS",
     "max_bytes": "PUGEO_MAX_CLOUD_BYTES",
@@ -58,6 +59,17 @@ _SETTINGS = {
     "max_output_bytes": "PUGEO_MAX_OUTPUT_BYTES",
     "worker_memory": "PUGEO_WORKER_MEMORY",
 }
+# Code of a problem that tells how full several resources are -> members with the use and with the
+# capacity of each, and the setting that raises it. The problem is about the first one that is full,
+# or else about the last one, in which the request found no room.
+_CAPACITIES = {
+    "jobs_full": (
+        ("active_jobs", "capacity_jobs", "PUGEO_JOBS_QUEUE"),
+        ("bytes", "capacity_bytes", "PUGEO_JOBS_BYTES"),
+    ),
+}
+
+NO_SETTING = "No setting of the service changes this limit."
 
 PROBLEM_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -116,6 +128,9 @@ class ProblemError(Exception):
         self.retryable = status in _RETRYABLE if retryable is None else retryable
         self.headers = dict(headers or {})
         self.fields = dict(fields or {})
+        setting = _exhausted(code, self.fields)
+        if setting is not None:
+            self.fields.setdefault("setting", setting)
         if retry_after is not None:
             self.headers["Retry-After"] = str(max(1, math.ceil(retry_after)))
 
@@ -123,9 +138,12 @@ class ProblemError(Exception):
     def from_cloud_error(cls, error: CloudError) -> "ProblemError":
         """Convert an error of the model."""
         status = next((_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS), 422)
-        setting = _SETTINGS.get(error.fields.get("name", ""))
+        name = error.fields.get("name", "")
+        setting = _SETTINGS.get(name)
         if setting is None:
-            return cls(status, error.code, error.message, fields=error.fields)
+            fixed = isinstance(error, LimitExceededError) and name
+            detail = f"{error.message} {NO_SETTING}" if fixed else error.message
+            return cls(status, error.code, detail, fields=error.fields)
         detail = f"{error.message} The service allows more with a larger {setting}."
         return cls(status, error.code, detail, fields={**error.fields, "setting": setting})
 
@@ -155,6 +173,15 @@ class ProblemError(Exception):
         return Response(
             encode_json(members), self.status, headers=self.headers, media_type=MEDIA_TYPE
         )
+
+
+def _exhausted(code: str, fields: Mapping[str, Any]) -> str | None:
+    """Return the setting of the resource that is full, if the code is about some."""
+    resources = _CAPACITIES.get(code, ())
+    for used, capacity, setting in resources:
+        if fields[used] >= fields[capacity]:
+            return setting
+    return resources[-1][2] if resources else None
 
 
 def bug() -> ProblemError:

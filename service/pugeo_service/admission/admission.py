@@ -10,7 +10,7 @@ import itertools
 from collections import defaultdict
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from pugeo_service.admission.fair_share import check_share
 from pugeo_service.admission.throughput import PatchCost, Throughput
@@ -108,23 +108,33 @@ class Admission:
         if self.draining:
             raise draining()
 
-    def queue_full(self, patches: int) -> ProblemError:
-        """Return the refusal of a request of ``patches``, with the time until it would fit."""
+    def queue_full(self, patches: int, unit: str | None = None) -> ProblemError:
+        """Return the refusal of a request, with the time until it would fit.
+
+        Args:
+            patches: of the request.
+            unit: exhausted unit (``"patches"``, ``"bytes"`` or ``"requests"``), if it is known.
+        """
         now = self.usage
         excess = now.patches + patches - self.max_patches
         # If requests or bytes are exhausted and not patches, one request must end first.
         wait = self.throughput.seconds(excess if excess > 0 else now.patches / max(1, now.requests))
-        detail = (
-            "The queue is full (PUGEO_QUEUE_PATCHES, PUGEO_QUEUE_BYTES, PUGEO_QUEUE_REQUESTS); try "
-            "again after the time in Retry-After."
-        )
-        fields = {
+        setting = f"PUGEO_QUEUE_{(unit or self._exhausted(patches)).upper()}"
+        detail = f"The queue is full, see {setting}; try again after the time in Retry-After."
+        fields: dict[str, Any] = {
+            "setting": setting,
             "queued_patches": now.patches,
             "capacity_patches": self.max_patches,
             "queued_requests": now.requests,
             "capacity_requests": self.max_requests,
         }
         return ProblemError(503, "queue_full", detail, retry_after=_bounded(wait), fields=fields)
+
+    def _exhausted(self, patches: int) -> str:
+        """Return the unit of which a further request of ``patches`` would take too much."""
+        if self.usage.requests >= self.max_requests:
+            return "requests"
+        return "patches" if self.usage.patches + patches > self.max_patches else "bytes"
 
     def free(self) -> QueueUsage:
         """Return the unused part of the queue, each number >= 0."""
@@ -177,7 +187,7 @@ class Reservation:
         total = self._admission.usage
         others = total.bytes - self.usage.bytes
         if others and total.bytes + size > self._admission.max_bytes:
-            raise self._admission.queue_full(1)
+            raise self._admission.queue_full(1, "bytes")
         self.check_share(QueueUsage(bytes=size))
         self._add(QueueUsage(bytes=size))
 
@@ -244,7 +254,9 @@ class Reservation:
                 retry_after=functools.partial(self._until_returned, unit),
             )
 
-    def check_deadline(self, remaining: float, workers: int, *, counted: bool) -> None:
+    def check_deadline(
+        self, remaining: float, workers: int, *, counted: bool, setting: str | None = None
+    ) -> None:
         """Refuse a request at once if it cannot be finished in time.
 
         A small request waits for small requests that came earlier and have no more patches. A large
@@ -259,6 +271,7 @@ class Reservation:
             workers: number of workers.
             counted: the number of patches is counted; if it is an estimate, only the patches of
                 other requests are used.
+            setting: name of the setting that moves the deadline, if there is one.
 
         Raises:
             ProblemError: 503 because of the queue, 504 because of the size of the cloud itself.
@@ -273,19 +286,25 @@ class Reservation:
         cost = self._admission.patch_cost
         own_time = cost.lower_bound_s(patches, workers) if counted else 0.0
         queue_time = cost.lower_bound_s(ahead, workers)
+        named: dict[str, Any] = {} if setting is None else {"setting": setting}
+        remedy = (
+            "Ask for a longer wait, or for no limit."
+            if setting is None
+            else f"The service allows more time with a larger {setting}."
+        )
         if own_time > remaining:
             detail = (
                 f"This cloud takes at least {own_time:.0f} s, and {remaining:.0f} s are left. "
-                "Ask for a longer wait, or for no limit."
+                f"{remedy}"
             )
-            fields = {"patches": patches, "seconds_left": round(remaining, 1)}
+            fields = {"patches": patches, "seconds_left": round(remaining, 1), **named}
             raise ProblemError(504, "deadline_too_short", detail, retryable=False, fields=fields)
         if queue_time + own_time > remaining:
             detail = (
                 f"Earlier requests take at least {queue_time:.0f} s, and {remaining:.0f} s are "
-                "left. Try again after the time in Retry-After."
+                f"left. Try again after the time in Retry-After. {remedy}"
             )
-            fields = {"patches_ahead": ahead, "seconds_left": round(remaining, 1)}
+            fields = {"patches_ahead": ahead, "seconds_left": round(remaining, 1), **named}
             wait = _bounded(queue_time + own_time - remaining)
             raise ProblemError(503, "deadline_unmeetable", detail, retry_after=wait, fields=fields)
 

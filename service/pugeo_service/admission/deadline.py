@@ -62,6 +62,11 @@ class Deadline:
         return float(self.wait)
 
     @property
+    def setting(self) -> str | None:
+        """Name of the setting of the limit that ends first; ``None`` if it is the client's time."""
+        return None if self._client_end < self._service_end else "PUGEO_DEADLINE_S"
+
+    @property
     def description(self) -> str:
         """The limit that ends first, for an error text."""
         if self._client_end < self._service_end:

@@ -8,10 +8,21 @@ IEEE/ACM Transactions on Networking 6(2), 1998).
 """
 
 from collections.abc import Callable
+from typing import Any
 
-from pugeo_service.problems import ProblemError
+from pugeo_service.problems import NO_SETTING, ProblemError
 
 __all__ = ["check_share"]
+
+# Resource and unit -> the setting that raises its capacity, and by that each share. Other resources
+# have a fixed capacity.
+_SETTINGS = {
+    ("the queue", "patches"): "PUGEO_QUEUE_PATCHES",
+    ("the queue", "bytes"): "PUGEO_QUEUE_BYTES",
+    ("the queue", "requests"): "PUGEO_QUEUE_REQUESTS",
+    ("the capacity for jobs", "jobs"): "PUGEO_JOBS_QUEUE",
+    ("the capacity for jobs", "bytes"): "PUGEO_JOBS_BYTES",
+}
 
 
 def check_share(
@@ -49,5 +60,11 @@ def check_share(
         f"{free:,} are free and it may hold no more than that. Try again after the time in "
         "Retry-After."
     )
-    fields = {"unit": unit, "held": held, "wanted": wanted, "free": free}
+    fields: dict[str, Any] = {"unit": unit, "held": held, "wanted": wanted, "free": free}
+    setting = _SETTINGS.get((resource, unit))
+    if setting is None:
+        detail = f"{detail} {NO_SETTING}"
+    else:
+        detail = f"{detail} A larger {setting} gives each key more."
+        fields["setting"] = setting
     raise ProblemError(429, "share_exceeded", detail, retry_after=seconds, fields=fields)

@@ -149,9 +149,12 @@ async def _chunks(
             async with asyncio.timeout(settings.body_idle_s):
                 message = await request.receive()
         except TimeoutError as error:
-            detail = f"No byte of the body arrived for {settings.body_idle_s:g} s."
+            setting = "PUGEO_BODY_IDLE_S"
+            detail = f"No byte of the body arrived for {settings.body_idle_s:g} s ({setting})."
+            fields = {"limit": settings.body_idle_s, "setting": setting}
+            headers = {"Connection": "close"}
             raise ProblemError(
-                408, "body_timeout", detail, headers={"Connection": "close"}
+                408, "body_timeout", detail, headers=headers, fields=fields
             ) from error
         if message["type"] == "http.disconnect":
             raise ClientDisconnectedError

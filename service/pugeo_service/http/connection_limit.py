@@ -65,8 +65,13 @@ class ConnectionLimit(RequestLimits):
             return
         self._refusals.add(self.max_connections)
         self.transport = transport
-        detail = "Too many connections (PUGEO_MAX_CONNECTIONS); try again after Retry-After."
-        problem = ProblemError(503, "too_many_connections", detail, retry_after=5)
+        setting = "PUGEO_MAX_CONNECTIONS"
+        detail = (
+            f"Too many connections ({setting}, or less if the process may open few files); try "
+            "again after the time in Retry-After."
+        )
+        fields = {"limit": self.max_connections, "setting": setting}
+        problem = ProblemError(503, "too_many_connections", detail, retry_after=5, fields=fields)
         transport.write(encode_response(problem))
         transport.close()
 

@@ -16,7 +16,7 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from pugeo_service.http.security_headers import add_security_headers
-from pugeo_service.problems import ProblemError
+from pugeo_service.problems import NO_SETTING, ProblemError
 
 __all__ = ["RequestLimits", "encode_response"]
 
@@ -129,8 +129,11 @@ class RequestLimits(HttpToolsProtocol):
 
     def _on_timeout(self) -> None:
         if self._bytes:
-            detail = f"The head of the request did not arrive within {HEAD_TIMEOUT_S:g} s."
-            self._refusal = ProblemError(408, "head_timeout", detail)
+            detail = (
+                f"The head of the request did not arrive within {HEAD_TIMEOUT_S:g} s. {NO_SETTING}"
+            )
+            fields = {"limit": HEAD_TIMEOUT_S}
+            self._refusal = ProblemError(408, "head_timeout", detail, fields=fields)
             self.send_400_response("")
         else:
             # Browsers open connections before they need them; without a request there is no answer.
@@ -156,7 +159,7 @@ def _bad_head(hosts: list[bytes], codings: list[bytes], version: str) -> Problem
 
 def _too_large(excess: str) -> ProblemError:
     fields: dict[str, Any] = {"limit_bytes": MAX_HEAD_BYTES, "limit_fields": MAX_HEAD_FIELDS}
-    detail = f"The head of the request has {excess}."
+    detail = f"The head of the request has {excess}. {NO_SETTING}"
     return ProblemError(431, "head_too_large", detail, fields=fields)
 
 

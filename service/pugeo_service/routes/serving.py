@@ -70,7 +70,9 @@ async def serve(
             output = choice.for_input(body.read_as)
             reservation.admit(RunRequest.estimate(body.spool.size, body.format))
             workers = service.engine.status.workers
-            reservation.check_deadline(deadline.remaining, workers, counted=False)
+            reservation.check_deadline(
+                deadline.remaining, workers, counted=False, setting=deadline.setting
+            )
             result = await _run(
                 request,
                 service,
@@ -85,7 +87,9 @@ async def serve(
     except DeadlinePassedError as error:
         service.telemetry.cancelled.labels("deadline").inc()
         detail = f"The request took longer than {deadline.description}."
-        fields = {"limit": deadline.seconds, "setting": "PUGEO_DEADLINE_S"}
+        fields: dict[str, Any] = {"limit": deadline.seconds}
+        if deadline.setting is not None:
+            fields["setting"] = deadline.setting
         raise ProblemError(504, "deadline_exceeded", detail, fields=fields) from error
     reservation.hold_answer(result.spool.size)
     return result, output
@@ -119,7 +123,9 @@ async def _run(
         reservation.set_patches(count)
         try:
             workers = service.engine.status.workers
-            reservation.check_deadline(deadline.remaining, workers, counted=True)
+            reservation.check_deadline(
+                deadline.remaining, workers, counted=True, setting=deadline.setting
+            )
         except ProblemError as problem:
             if not abort.done():
                 abort.set_exception(problem)

@@ -188,7 +188,13 @@ def test_one_owner_leaves_room_for_others() -> None:
         problem = refusal(stack.enter_context(admission.reserve("ann")), 10)
         assert (problem.status, problem.code) == (429, "share_exceeded")
         assert problem.retryable
-        assert problem.fields == {"unit": "patches", "held": 50, "wanted": 10, "free": 50}
+        assert problem.fields == {
+            "unit": "patches",
+            "held": 50,
+            "wanted": 10,
+            "free": 50,
+            "setting": "PUGEO_QUEUE_PATCHES",
+        }
         # Five patches fewer held are five more free: half a second at this speed, one at least.
         assert problem.headers["Retry-After"] == "1"
         stack.enter_context(admission.reserve("bob")).admit(40)

@@ -34,6 +34,7 @@ def test_the_services_limit_begins_with_the_work() -> None:
     assert deadline.remaining == 0
     assert (deadline.seconds, deadline.wait) == (60, None)
     assert "limit of this service" in deadline.description
+    assert deadline.setting == "PUGEO_DEADLINE_S"
 
 
 def test_the_clients_wait_begins_with_the_head() -> None:
@@ -44,6 +45,7 @@ def test_the_clients_wait_begins_with_the_head() -> None:
     assert deadline.remaining == 10
     assert deadline.seconds == 30
     assert "Prefer" in deadline.description
+    assert deadline.setting is None
 
 
 def test_the_service_never_waits_longer_than_it_would() -> None:
