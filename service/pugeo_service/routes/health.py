@@ -3,20 +3,20 @@
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 from pydantic import BaseModel, Field
 
 from pugeo_service import __version__
 from pugeo_service.container import ServiceDep
+from pugeo_service.http.query_names import check_query
 from pugeo_service.problems import ProblemError, problem_responses
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["health"])
+router = APIRouter(tags=["health"], dependencies=[Depends(check_query)])
 _WHY = {
     "draining": "The service is shutting down.",
     "no_worker": "No worker is ready yet.",
-    "queue_full": "The queue is full.",
 }
 
 
@@ -59,6 +59,8 @@ async def live() -> Alive:
 async def ready(service: ServiceDep) -> Ready:
     """Confirm that requests are admitted: a worker is ready, the queue has room, no shutdown."""
     reason = service.not_ready_because
+    if reason == "queue_full":
+        raise service.admission.queue_full(1)
     if reason is not None:
         raise ProblemError(503, reason, _WHY[reason], retry_after=2)
     return Ready()
