@@ -7,6 +7,7 @@ another one than the default, the canary.
 """
 
 import asyncio
+import re
 import subprocess
 import sys
 import time
@@ -28,6 +29,9 @@ __all__ = ["CANARY_HEADER", "Models", "ServedModel", "wants_canary"]
 CANARY_HEADER = "Pugeo-Canary"
 _WISHES = {"yes": True, "no": False}
 _LOOK_S = 2.0
+# Names are sent in headers of answers, and are parts of paths.
+_NAME = re.compile(r"[A-Za-z0-9._-]+")
+_NAME_RULE = "the name of a model has ASCII letters, digits and . _ - only"
 _BUILD = "import sys; from pugeo_model.weights import load_or_explain; load_or_explain(sys.argv[1])"
 
 _now = time.monotonic
@@ -70,8 +74,8 @@ class Models:
         settings: name the default, the folder and the canary.
 
     Raises:
-        BadOptionError: the default or the canary does not exist, or cannot be used; the message
-            begins with the setting.
+        BadOptionError: the default or the canary does not exist, cannot be used, or has a name
+            that answers cannot carry; the message begins with the setting.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -82,7 +86,10 @@ class Models:
         self._canary = settings.canary
         self._served: dict[str, ServedModel] = {}
         self._stamps: dict[str, object] = {}
+        self._unnamed: set[Path] = set()
         self._removed: list[tuple[float, str]] = []
+        if self._file is not None and not _NAME.fullmatch(self._default):
+            raise _wrong("PUGEO_MODEL", settings.model, _NAME_RULE)
         for name, path in self._paths().items():
             try:
                 self._served[name] = self._read(name, path)
@@ -198,10 +205,18 @@ class Models:
         found = {name: weights.locate(name) for name in weights.available()}
         folder = self._settings.models_dir
         if folder is not None:
-            found |= {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+            found |= self._named_files(sorted(folder.glob("*.safetensors")))
         if self._file is not None:
             found[self._default] = self._file
         return found
+
+    def _named_files(self, paths: list[Path]) -> dict[str, Path]:
+        """Return files by the names of their models; the log gets a line for each unusable name."""
+        unnamed = {path for path in paths if not _NAME.fullmatch(path.stem)}
+        for path in sorted(unnamed - self._unnamed):
+            _log.error("weights are not used", file=ascii(path.name), reason=_NAME_RULE)
+        self._unnamed = unnamed
+        return {path.stem: path for path in paths if path not in unnamed}
 
     def _look(self) -> tuple[set[str], list[ServedModel]]:
         """Return the names that have files, and the models whose files have changed."""

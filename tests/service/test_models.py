@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from pugeo_model import weights
 from pugeo_model.errors import BadOptionError
@@ -52,6 +53,13 @@ def told(model: object) -> str:
     assert line.startswith(f"PUGEO_MODEL={model}: ")
     assert "\n" not in line
     return line
+
+
+def told_of(path: Path) -> str:
+    """The error about a file of weights, which may have any name."""
+    with pytest.raises(BadOptionError) as caught:
+        Models(Settings(model=str(path)))
+    return caught.value.message
 
 
 class Workers(Engine):
@@ -139,6 +147,29 @@ def test_a_folder_of_models(tmp_path: Path) -> None:
     workers = Workers()
     asyncio.run(served.install(workers))
     assert workers.calls == [("install", mine.id.sha256)]
+
+
+@pytest.mark.usefixtures("unbuilt")
+@pytest.mark.parametrize("name", ["日本", "two words", "a\nb", "é", "a;b"])
+def test_names_that_headers_cannot_carry(tmp_path: Path, name: str) -> None:
+    """Weights of such a name are not served; the log says so once, until the file comes back."""
+    path = copy("fast", tmp_path, name)
+    copy("fast", tmp_path, "v1.2_a-B")
+    with capture_logs() as logs:
+        served, workers = Models(Settings(models_dir=tmp_path)), Workers()
+        update(served, workers)
+        update(served, workers)
+    assert [model.name for model in served] == ["standard", "fast", "scans", "v1.2_a-B"]
+    refused = [entry for entry in logs if entry["event"] == "weights are not used"]
+    assert [entry["file"] for entry in refused] == [ascii(path.name)]
+    assert "ASCII letters, digits and . _ -" in refused[0]["reason"]
+    path.rename(tmp_path / "away")
+    update(served, workers)
+    (tmp_path / "away").rename(path)
+    with capture_logs() as logs:
+        update(served, workers)
+    assert len(logs) == 1
+    assert "ASCII letters, digits and . _ -" in told_of(path)
 
 
 @pytest.mark.usefixtures("unbuilt")
