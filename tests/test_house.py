@@ -252,6 +252,17 @@ def test_constraints_cover_what_is_asked_for(root: Path) -> None:
     assert "+" not in text
 
 
+def test_the_parser_of_forms_is_new_enough(root: Path) -> None:
+    """Versions of python-multipart before 0.0.18 let a small body use much time of a processor."""
+    project = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]
+    needs = [need for many in project["optional-dependencies"].values() for need in many]
+    found = [need for need in needs if _name(need) == "python-multipart"]
+    assert len(found) == 1
+    lowest = re.search(r">=([\d.]+)", found[0])
+    assert lowest is not None
+    assert tuple(map(int, lowest[1].split("."))) >= (0, 0, 18)
+
+
 def _name(requirement: str) -> str:
     match = re.match(r"[\w.-]+", requirement)
     assert match is not None
