@@ -87,10 +87,14 @@ def test_names_of_dask() -> None:
     states = inspect.getsource(scheduler.TaskState)
     for name in ("worker_restrictions", "loose_restrictions", "resource_restrictions"):
         assert f"{name}:" in states, name
-    for name in ("retire_workers", "identity"):
+    for name in ("retire_workers", "identity", "remove_worker"):
         assert hasattr(scheduler.Scheduler, name), name
     for name in ("worker_address", "finished", "close", "_unregister"):
         assert hasattr(distributed.Nanny, name), name
+    assert "self.handlers" in inspect.getsource(distributed.core.Server.__init__)
+    assert "timeout" in inspect.signature(distributed.Nanny.kill).parameters
+    assert scheduler.heartbeat_interval(1) <= 1.0
+    assert {"last_seen", "nanny"} <= set(scheduler.WorkerState.__slots__)
     for name in vars(ReportRetries):
         if inspect.isfunction(vars(ReportRetries)[name]) and name != "__init__":
             assert hasattr(SchedulerPlugin, name), name

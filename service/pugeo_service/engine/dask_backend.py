@@ -32,7 +32,7 @@ from pugeo_service.engine.dask_config import (
     worker_environment,
 )
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
-from pugeo_service.engine.heartbeats import HeartbeatWatch
+from pugeo_service.engine.heartbeats import HeartbeatWatch, cpu_seconds
 from pugeo_service.engine.model_plugin import ModelPlugin
 from pugeo_service.engine.retries import TOPIC, ReportRetries
 from pugeo_service.engine.worker import VERSION_METRIC, run_stage
@@ -309,7 +309,7 @@ class DaskBackend:
         self._log_other_versions(identity["workers"])
         hanging = self._heartbeats.hanging(
             {address: worker["last_seen"] for address, worker in identity["workers"].items()},
-            self._pids(),
+            {address: cpu_seconds(pid) for address, pid in self._pids().items()},
         )
         workers = frozenset(
             worker_name(address, worker)

@@ -13,13 +13,12 @@ from distributed.scheduler import Scheduler
 
 from pugeo_service.engine.backend import QUICK_PREFIX
 from pugeo_service.engine.dask_config import configure_dask, mutual_tls, scheduler_options
+from pugeo_service.engine.worker_watch import WorkerWatch
 from pugeo_service.settings import Settings
 
 __all__ = ["VersionedScheduler", "run_scheduler"]
 
 _log = structlog.stdlib.get_logger("pugeo.scheduler")
-# A worker that reports nothing for so long hangs; its nanny is told to start another one.
-_TTL = "30s"
 _CLOSE_S = 10.0
 
 
@@ -62,7 +61,8 @@ async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:
         stop: set by a signal.
     """
     configure_dask()
-    dask.config.set({"distributed.scheduler.worker-ttl": _TTL})
+    # `WorkerWatch` looks instead.
+    dask.config.set({"distributed.scheduler.worker-ttl": None})
     # A probe that connects and leaves would be a line each time; whoever has a wrong certificate
     # says so itself.
     logging.getLogger("distributed.comm.tcp").setLevel(logging.ERROR)
@@ -80,7 +80,9 @@ async def run_scheduler(settings: Settings, stop: asyncio.Event) -> int:
         return 1
     sys.stdout.write(f"pugeo schedules {scheduler.address}\n")
     sys.stdout.flush()
+    watching = asyncio.create_task(WorkerWatch(scheduler).run())
     await stop.wait()
+    watching.cancel()
     # Workers and fronts stay, and come back to the next scheduler of this address.
     await asyncio.wait({asyncio.create_task(scheduler.close(reason="signal"))}, timeout=_CLOSE_S)
     return 0

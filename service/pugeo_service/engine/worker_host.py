@@ -13,6 +13,8 @@ import structlog
 from pugeo_model.kernel_cache import compile_kernels
 from pugeo_service.engine.children import end_children
 from pugeo_service.engine.dask_config import configure_dask, mutual_tls, worker_environment
+from pugeo_service.engine.heartbeats import cpu_seconds
+from pugeo_service.engine.worker_watch import CPU_SECONDS
 from pugeo_service.settings import Settings
 
 __all__ = ["WorkerHost"]
@@ -29,7 +31,15 @@ _UNREGISTER_S = 2.0
 
 
 class _Nanny(distributed.Nanny):
-    """Dask's nanny, which waits less for a scheduler that is gone."""
+    """Dask's nanny, which waits less for a scheduler that is gone, and tells of its worker."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.handlers[CPU_SECONDS] = self._cpu_seconds
+
+    def _cpu_seconds(self) -> float | None:
+        """Return the processor time of the worker; ``None`` if there is none."""
+        return cpu_seconds(self.pid) if self.pid else None
 
     async def _unregister(self, timeout: float = _UNREGISTER_S) -> None:  # noqa: ASYNC109
         """Tell the scheduler that the worker process has ended; it sees that itself as well."""
