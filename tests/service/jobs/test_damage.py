@@ -231,6 +231,8 @@ def test_a_clock_that_jumps_deletes_nothing(play: Any, monkeypatch: pytest.Monke
     real = time.time
     ahead = [0.0]
     monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
+    # That of the process would remember the jumps.
+    monkeypatch.setattr("pugeo_service.jobs.clock.now", SteadyClock().now)
 
     async def scenario(house: Any) -> None:
         first = await house.submit()
@@ -262,6 +264,7 @@ def test_a_jump_that_lasts_is_a_correction(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(time, "time", lambda: wall[0])
     monkeypatch.setattr(time, "monotonic", lambda: monotonic[0])
     steady = SteadyClock()
+    monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 0.0)
 
     def after(seconds: float, jump: float = 0.0) -> float:
         monotonic[0] += seconds
@@ -276,6 +279,35 @@ def test_a_jump_that_lasts_is_a_correction(monkeypatch: pytest.MonkeyPatch) -> N
     assert after(1.0, 86_400.0) == 3035.0
     assert after(3500.0) == 6535.0
     assert after(100.0) == 6635.0 + 86_400.0
+
+
+@pytest.mark.parametrize("jump", [2 * 86_400.0, 0.0, -2 * 86_400.0])
+def test_a_clock_that_is_wrong_at_the_start(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
+    """Nothing is deleted before the clock was steady for ten minutes; then what is over is."""
+    wall, monotonic = [1e9 + jump], [50.0]
+    monkeypatch.setattr(time, "time", lambda: wall[0])
+    monkeypatch.setattr(time, "monotonic", lambda: monotonic[0])
+    steady = SteadyClock()
+
+    def after(seconds: float, correction: float = 0.0) -> float:
+        monotonic[0] += seconds
+        wall[0] += seconds + correction
+        return steady.deletion_time()
+
+    assert (steady.now(), steady.deletion_time()) == (wall[0], 0.0)
+    assert after(500.0) == 0.0
+    assert after(1.0, -jump) == 0.0
+    if jump < 0.0:
+        # Trusted after an hour, as every jump ahead.
+        assert steady.now() == wall[0] + jump
+        assert after(3600.0) == 0.0
+    assert steady.now() == wall[0]
+    assert after(98.0) == 0.0
+    if jump:
+        assert after(501.0) == 0.0
+    assert after(2.0) == wall[0]
+    # From then on a jump neither counts nor stops deletions.
+    assert after(5.0, 2 * 86_400.0) == wall[0] - 2 * 86_400.0
 
 
 def test_jobs_that_failed_at_once_are_bounded(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
