@@ -76,6 +76,40 @@ def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None
             assert services[front]["environment"][name] is None
 
 
+def test_settings_of_the_operations_page_are_passed_on(
+    root: Path, services: dict[str, Any]
+) -> None:
+    """Whoever sets in .env what that page advises changes the service."""
+    image = (root / "Dockerfile").read_text("utf-8")
+    fixed = set(re.findall(r"(PUGEO_\w+)=\S", image))
+    text = (root / "docs/how-to/operations.md").read_text("utf-8")
+    known = {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
+    named = (set(re.findall(r"PUGEO_[A-Z_]+", text)) & known) - fixed
+    assert len(named) > 15
+    assert named <= services["api"]["environment"].keys()
+    # The workers of `front` are in containers of their own.
+    assert named - {"PUGEO_WORKERS"} <= services["front"]["environment"].keys()
+    assert {"PUGEO_WORKERS", "PUGEO_WORKER_MEMORY"} <= services["worker"]["environment"].keys()
+
+
+def test_no_variable_of_the_image_is_taken_away(root: Path, services: dict[str, Any]) -> None:
+    """A name without a value that .env does not set is unset, also where the image sets it."""
+    fixed = set(re.findall(r"(\w+)=\S", (root / "Dockerfile").read_text("utf-8")))
+    assert "PUGEO_JOBS_DIR" in fixed
+    for name, service in services.items():
+        if service["image"].startswith("pugeo"):
+            given = service.get("environment", {})
+            assert not {key for key, value in given.items() if value is None} & fixed, name
+
+
+def test_fronts_and_workers_have_the_same_weights(services: dict[str, Any]) -> None:
+    """The default model comes from the same variable in each role."""
+    for name in ("api", "front", "worker"):
+        environment = services[name]["environment"]
+        assert "PUGEO_MODEL" in environment, name
+        assert environment["PUGEO_MODEL"] is None, name
+
+
 def test_profiles_start_what_they_need(services: dict[str, Any]) -> None:
     """Services that another one waits for are started with it, or may be missing."""
     for name, service in services.items():
