@@ -305,6 +305,11 @@ def test_a_release_of_the_charts_name_is_short(chart: Any) -> None:
         ({"front": {"replicas": 0}}, "replicas"),
         ({"front": {"readinessPath": "/"}}, "readinessPath"),
         ({"settings": {"PUGEO_DATABASE_URL": "postgresql://secret"}}, "PUGEO_DATABASE_URL"),
+        ({"settings": {"PUGEO_WORKER_MEMORY": "2GB"}}, "PUGEO_WORKER_MEMORY"),
+        (
+            {"secretSettings": {"PUGEO_WORKER_MEMORY": {"name": "a", "key": "b"}}},
+            "PUGEO_WORKER_MEMORY",
+        ),
         ({"settings": {"MAX_POINTS": "1"}}, "MAX_POINTS"),
         ({"settings": {"PUGEO_MAX_POINTS": 1}}, "PUGEO_MAX_POINTS"),
         ({"keys": {"entries": ["ann:secret"]}}, "entries"),
