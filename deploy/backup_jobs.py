@@ -8,8 +8,12 @@ its row, so each row of the copy has its file, unless its job was deleted meanwh
 in BACKUP already are not copied again, and those whose job is gone are deleted there. With
 PostgreSQL, dump that database first; then only files are copied here. To restore, stop the service
 and copy BACKUP to FOLDER.
+
+With PUGEO_JOBS_STORE in the environment the files in FOLDER are a cache, and are not copied. Copy
+the store itself, after the table.
 """
 
+import os
 import shutil
 import sqlite3
 import sys
@@ -20,24 +24,33 @@ _TABLE = "jobs.sqlite3"
 _FILES = ("inputs", "results")
 
 
-def main(folder: Path, backup: Path) -> str:
+def main(folder: Path, backup: Path, *, stored: bool) -> str:
     """Copy the table and the files of jobs; return a line about what was done.
+
+    Args:
+        folder: of jobs.
+        backup: gets the copies.
+        stored: the files of jobs are in a store; then only the table is copied.
 
     Raises:
         OSError, sqlite3.Error: something cannot be read or written.
     """
     if not any((folder / name).is_dir() for name in _FILES):
         raise FileNotFoundError(f"{folder} is no folder of jobs: it has no inputs and no results")
+    has_table = (folder / _TABLE).exists()
+    if stored and not has_table:
+        raise FileNotFoundError(
+            f"{folder} has nothing to copy: it has no table, and with PUGEO_JOBS_STORE its files "
+            "are a cache. Dump the database first, then copy the store"
+        )
     backup.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if (folder / _TABLE).exists():
-        part = backup / f"{_TABLE}.part"
-        part.unlink(missing_ok=True)
-        with (
-            closing(sqlite3.connect(f"file:{folder / _TABLE}?mode=ro", uri=True)) as table,
-            closing(sqlite3.connect(part)) as copy,
-        ):
-            table.backup(copy)
-        part.replace(backup / _TABLE)
+    if has_table:
+        _copy_table(folder, backup)
+    if stored:
+        return (
+            f"only the table was copied to {backup}: with PUGEO_JOBS_STORE the files in {folder} "
+            "are a cache. Copy the store now"
+        )
     copied = 0
     for name in _FILES:
         (backup / name).mkdir(mode=0o700, exist_ok=True)
@@ -47,6 +60,17 @@ def main(folder: Path, backup: Path) -> str:
         for path in found.values():
             copied += _copy(path, backup / name / path.name)
     return f"{copied} files were copied to {backup}"
+
+
+def _copy_table(folder: Path, backup: Path) -> None:
+    part = backup / f"{_TABLE}.part"
+    part.unlink(missing_ok=True)
+    with (
+        closing(sqlite3.connect(f"file:{folder / _TABLE}?mode=ro", uri=True)) as table,
+        closing(sqlite3.connect(part)) as copy,
+    ):
+        table.backup(copy)
+    part.replace(backup / _TABLE)
 
 
 def _copy(path: Path, target: Path) -> bool:
@@ -67,6 +91,8 @@ if __name__ == "__main__":
     if len(sys.argv) != 3:
         sys.exit("usage: python deploy/backup_jobs.py FOLDER BACKUP")
     try:
-        sys.stdout.write(main(Path(sys.argv[1]), Path(sys.argv[2])) + "\n")
+        kept_in_store = bool(os.environ.get("PUGEO_JOBS_STORE"))
+        done = main(Path(sys.argv[1]), Path(sys.argv[2]), stored=kept_in_store)
+        sys.stdout.write(done + "\n")
     except (OSError, sqlite3.Error) as failure:
         sys.exit(f"the backup failed: {failure}")

@@ -2,7 +2,9 @@
 """deploy/backup_jobs.py copies the jobs of a running service."""
 
 import asyncio
+import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +13,12 @@ from typing import Any
 import pytest
 
 
-def back_up(root: Path, folder: Path, backup: Path) -> subprocess.CompletedProcess[str]:
+def back_up(
+    root: Path, folder: Path, backup: Path, store: str = ""
+) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(root / "deploy/backup_jobs.py"), str(folder), str(backup)]
-    return subprocess.run(command, check=False, capture_output=True, text=True)
+    environment = os.environ | {"PUGEO_JOBS_STORE": store}
+    return subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
 
 
 def test_another_service_goes_on_with_a_backup(
@@ -67,3 +72,22 @@ def test_a_folder_without_jobs_is_refused(root: Path, tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "is no folder of jobs" in done.stderr
     assert not (tmp_path / "backup").exists()
+
+
+def test_a_cache_is_no_backup(root: Path, tmp_path: Path) -> None:
+    """With a store only the table is copied, and what is left to do is said."""
+    folder, backup = tmp_path / "jobs", tmp_path / "backup"
+    for name in ("inputs", "results"):
+        (folder / name).mkdir(parents=True)
+    (folder / "results" / "one").write_bytes(b"a copy")
+    refused = back_up(root, folder, backup, "s3://user:secret@jobs")
+    assert refused.returncode == 1
+    assert "Dump the database first, then copy the store" in refused.stderr
+    assert not backup.exists()
+    sqlite3.connect(folder / "jobs.sqlite3").close()
+    done = back_up(root, folder, backup, "s3://user:secret@jobs")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("only the table was copied")
+    assert "Copy the store now" in done.stdout
+    assert "secret" not in done.stdout + refused.stderr
+    assert [path.name for path in backup.iterdir()] == ["jobs.sqlite3"]
