@@ -49,7 +49,7 @@ def create_service(settings: Settings, models: Models) -> Service:
     def read() -> Readings:
         status = engine.status
         return Readings(
-            queue_patches=admission.patches + jobs.admission.patches,
+            queue_patches=admission.patches,
             queue_capacity=admission.max_patches,
             queue_bytes=admission.bytes + jobs.uploads.bytes,
             workers_warm=status.workers,
@@ -59,6 +59,8 @@ def create_service(settings: Settings, models: Models) -> Service:
             jobs_queued=jobs.usage.queued,
             jobs_running=jobs.usage.running,
             jobs_bytes=jobs.usage.bytes,
+            jobs_patches=jobs.admission.patches,
+            jobs_capacity=jobs.admission.max_patches,
             models=[model.described for model in models],
             uses=status.uses,
         )

@@ -57,10 +57,15 @@ class Server:
     def wait_until_working(self, seconds: float = 100.0) -> None:
         """Wait until patches of an admitted request were finished and others remain."""
         end, most = time.monotonic() + seconds, 0.0
-        while not 0 < (left := self.metric("pugeo_queue_patches")) < most:
+        while not 0 < (left := self.patches()) < most:
             assert time.monotonic() < end, f"{left} of {most} patches left"
             most = max(most, left)
             time.sleep(0.02)
+
+    def patches(self) -> float:
+        """Patches of requests and jobs that are admitted and not finished."""
+        queues = ("requests", "jobs")
+        return sum(self.metric(f'pugeo_queue_patches{{queue="{queue}"}}') for queue in queues)
 
     def metric(self, sample: str) -> float:
         """Value of a sample of /metrics, 0 if it does not exist yet."""

@@ -142,7 +142,7 @@ def test_a_drain_queues_jobs_again_and_ends_streams(launch: Any, tmp_path: Path)
     with launch(*options, SLOW_S="0.5", PUGEO_JOBS_DIR=folder) as one:
         one.wait_until_ready()
         job_id = submit(one, ball(14_000))
-        eventually(lambda: one.metric("pugeo_queue_patches") > 4)
+        eventually(lambda: one.metric('pugeo_queue_patches{queue="jobs"}') > 4)
         with HTTP.stream("GET", f"{one.url}/jobs/{job_id}/events", timeout=60) as events:
             lines = events.iter_lines()
             assert next(lines).startswith("retry:")
@@ -196,7 +196,7 @@ def test_a_cancelled_job_frees_its_patches(server: Server) -> None:
     with begun(server) as job_id:
         answer = HTTP.delete(f"{server.url}/jobs/{job_id}", timeout=30)
         assert answer.json()["state"] == "cancelled"
-        eventually(lambda: server.metric("pugeo_queue_patches") == 0)
+        eventually(lambda: server.metric('pugeo_queue_patches{queue="jobs"}') == 0)
         gone = HTTP.get(f"{server.url}/jobs/{job_id}/result", timeout=60)
         assert (gone.status_code, gone.json()["code"]) == (410, "job_cancelled")
 

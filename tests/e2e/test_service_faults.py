@@ -113,7 +113,7 @@ def test_a_client_that_leaves(server: Server) -> None:
     with socket.create_connection((address.hostname, address.port)) as connection:
         connection.sendall(head.encode() + LARGE)
         server.wait_until_working()
-    eventually(lambda: server.metric("pugeo_queue_patches") == 0)
+    eventually(lambda: server.metric('pugeo_queue_patches{queue="requests"}') == 0)
     assert server.metric('pugeo_points_total{direction="out"}') == made
     assert server.metric('pugeo_cancelled_total{reason="disconnect"}') == left + 1
     assert HTTP.post(f"{server.url}/upsample", content=SMALL, timeout=100).status_code == 200

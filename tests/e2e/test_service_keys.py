@@ -68,7 +68,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         assert (
             HTTP.get(f"{server.url}/metrics", headers=bearer("ann"), timeout=60).status_code == 404
         )
-        assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
+        assert 'pugeo_queue_patches{queue="requests"} 0.0' in metrics_of(server.log)
 
         # The large cloud of one owner takes more than half of the queue; another one is served.
         answers: dict[str, Any] = {}
@@ -79,7 +79,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
 
         thread = threading.Thread(target=large)
         thread.start()
-        while "pugeo_queue_patches 0.0" in metrics_of(server.log):
+        while 'pugeo_queue_patches{queue="requests"} 0.0' in metrics_of(server.log):
             time.sleep(0.02)
         write_keys(path, "ann", "bob")
         refused = HTTP.post(url, content=ball(8000), headers=bearer("ann"), timeout=60)
@@ -102,7 +102,7 @@ def test_keys_shares_and_deadlines(launch: Any, tmp_path: Path) -> None:
         assert late.json()["code"] in {"deadline_too_short", "deadline_exceeded"}
         after = HTTP.post(url, content=SMALL, headers=bearer("ann"), timeout=60)
         assert after.status_code == 200
-        assert "pugeo_queue_patches 0.0" in metrics_of(server.log)
+        assert 'pugeo_queue_patches{queue="requests"} 0.0' in metrics_of(server.log)
 
         # A removed key is refused without a restart, and every key once the file is deleted.
         write_keys(path, "ann")

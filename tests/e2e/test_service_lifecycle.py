@@ -58,7 +58,7 @@ def begun(server: Any, body: bytes) -> Post:
     """A request that was admitted."""
     post = Post(server.url, body)
     post.start()
-    while server.metric("pugeo_queue_patches") == 0:
+    while server.metric('pugeo_queue_patches{queue="requests"}') == 0:
         time.sleep(0.02)
     return post
 
@@ -118,7 +118,7 @@ def test_full_and_late(launch: Any) -> None:
         assert late.response.json()["code"] == "deadline_exceeded"
         assert server.metric('pugeo_cancelled_total{reason="deadline"}') == 1
         assert server.metric('pugeo_rejected_total{reason="queue_full"}') == 1
-        assert server.metric("pugeo_queue_patches") == 0
+        assert server.metric('pugeo_queue_patches{queue="requests"}') == 0
         good = HTTP.post(f"{server.url}/upsample?R=2", content=SMALL, timeout=60)
         assert good.status_code == 200
 

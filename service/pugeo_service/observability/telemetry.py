@@ -45,9 +45,9 @@ class Readings:
     """Values of gauges, read at each scrape.
 
     Attributes:
-        queue_patches: patches admitted and not finished.
+        queue_patches: patches of requests admitted and not finished.
         queue_capacity: bound on queue_patches.
-        queue_bytes: bytes of bodies.
+        queue_bytes: bytes of bodies, and of answers on their way out.
         workers_warm: workers that could run a task.
         workers_missing: configured workers that are not ready.
         workers_lost: workers that ended unexpectedly since the start.
@@ -55,6 +55,8 @@ class Readings:
         jobs_queued: queued jobs.
         jobs_running: running jobs.
         jobs_bytes: bytes of inputs and results of jobs.
+        jobs_patches: patches of running jobs that are not finished.
+        jobs_capacity: bound on jobs_patches; one job alone may exceed it.
         models: ``name``, ``version`` and ``sha256`` of each model.
         uses: use of each worker.
     """
@@ -69,6 +71,8 @@ class Readings:
     jobs_queued: int = 0
     jobs_running: int = 0
     jobs_bytes: int = 0
+    jobs_patches: int = 0
+    jobs_capacity: int = 0
     models: Sequence[dict[str, str]] = ()
     uses: tuple[WorkerUse, ...] = ()
 
@@ -129,7 +133,7 @@ class Telemetry:
         )
         self.rejected = Counter(
             "pugeo_rejected",
-            "Refused requests by code of the problem.",
+            "Refused POST requests by code of the problem, and all without a valid key.",
             ("reason",),
             registry=registry,
         )
@@ -167,15 +171,23 @@ class _Read(Collector):
 
     def collect(self) -> Iterator[Metric]:
         now = self._read()
-        yield GaugeMetricFamily(
-            "pugeo_queue_patches", "Patches admitted and not finished.", value=now.queue_patches
+        # Jobs have a queue of their own: they never cause the refusal of a request.
+        patches = GaugeMetricFamily(
+            "pugeo_queue_patches", "Patches admitted and not finished.", labels=["queue"]
         )
-        yield GaugeMetricFamily(
-            "pugeo_queue_capacity_patches",
-            "Capacity of the queue in patches.",
-            value=now.queue_capacity,
+        patches.add_metric(["requests"], now.queue_patches)
+        patches.add_metric(["jobs"], now.jobs_patches)
+        capacity = GaugeMetricFamily(
+            "pugeo_queue_capacity_patches", "Capacity of a queue in patches.", labels=["queue"]
         )
-        yield GaugeMetricFamily("pugeo_queue_bytes", "Bytes of bodies.", value=now.queue_bytes)
+        capacity.add_metric(["requests"], now.queue_capacity)
+        capacity.add_metric(["jobs"], now.jobs_capacity)
+        yield from (patches, capacity)
+        yield GaugeMetricFamily(
+            "pugeo_queue_bytes",
+            "Bytes of bodies, and of answers on their way out.",
+            value=now.queue_bytes,
+        )
         jobs = GaugeMetricFamily("pugeo_jobs_active", "Queued and running jobs.", labels=["state"])
         jobs.add_metric(["queued"], now.jobs_queued)
         jobs.add_metric(["running"], now.jobs_running)

@@ -23,7 +23,8 @@ class Route:
 
 def make_telemetry() -> Telemetry:
     """Metrics of an idle service."""
-    return Telemetry(lambda: Readings(1, 2, 3, 4, 5, 6, 7), "0.1.0")
+    readings = Readings(1, 2, 3, 4, 5, 6, 7, jobs_patches=8, jobs_capacity=9)
+    return Telemetry(lambda: readings, "0.1.0")
 
 
 def exchange(app: Any, telemetry: Telemetry, request_id: str | None = None) -> list[Message]:
@@ -212,8 +213,9 @@ def test_names_of_the_contract() -> None:
 def test_readings_are_taken_when_asked_for() -> None:
     """Gauges of the queue and the workers are read at each scrape."""
     telemetry = make_telemetry()
-    assert counted(telemetry, "pugeo_queue_patches") == {(): 1.0}
-    assert counted(telemetry, "pugeo_queue_capacity_patches") == {(): 2.0}
+    assert counted(telemetry, "pugeo_queue_patches") == {("requests",): 1.0, ("jobs",): 8.0}
+    capacity = counted(telemetry, "pugeo_queue_capacity_patches")
+    assert capacity == {("requests",): 2.0, ("jobs",): 9.0}
     assert counted(telemetry, "pugeo_queue_bytes") == {(): 3.0}
     assert counted(telemetry, "pugeo_workers") == {("warm",): 4.0, ("missing",): 5.0}
     assert counted(telemetry, "pugeo_worker_restarts_total") == {("lost",): 6.0}
