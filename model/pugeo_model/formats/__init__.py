@@ -28,7 +28,7 @@ from pugeo_model.formats import (
     stl,
     xyz,
 )
-from pugeo_model.formats.limits import DEFAULT_LIMITS, Declared, Limits
+from pugeo_model.formats.limits import DEFAULT_LIMITS, Declared, Limits, bounded_notes
 from pugeo_model.formats.stream import Source, Target, replacing, seekable
 
 __all__ = [
@@ -182,7 +182,7 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
             size.check(limits)
         cloud = module.read(file, limits)
     info = replace(cloud.source or SourceInfo(module.NAME), format=module.NAME)
-    notes = cloud.notes
+    notes = bounded_notes(cloud.notes)
     if module.NAME not in WRITABLE:
         notes += (f"{module.NAME.upper()} is only read: the output is PLY by default.",)
     return replace(cloud, source=info, notes=notes)

@@ -49,13 +49,13 @@ class Health(BaseModel):
     queue_requests: int
 
 
-@router.get("/health/live", operation_id="health_live")
+@router.get("/health/live", operation_id="health_live", responses=problem_responses(422))
 async def live() -> Alive:
     """Confirm that the process answers; an orchestrator restarts it otherwise."""
     return Alive()
 
 
-@router.get("/health/ready", operation_id="health_ready", responses=problem_responses(503))
+@router.get("/health/ready", operation_id="health_ready", responses=problem_responses(422, 503))
 async def ready(service: ServiceDep) -> Ready:
     """Confirm that requests are admitted: a worker is ready, the queue has room, no shutdown."""
     reason = service.not_ready_because
@@ -66,7 +66,7 @@ async def ready(service: ServiceDep) -> Ready:
     return Ready()
 
 
-@router.get("/health", operation_id="health")
+@router.get("/health", operation_id="health", responses=problem_responses(422))
 async def health(service: ServiceDep) -> Health:
     """Return the state of the service; the status is always 200."""
     status, admission = service.engine.status, service.admission

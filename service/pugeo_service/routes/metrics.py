@@ -7,6 +7,7 @@ from starlette.responses import Response
 
 from pugeo_service.container import ServiceDep
 from pugeo_service.http.query_names import check_query
+from pugeo_service.problems import problem_responses
 
 __all__ = ["router"]
 
@@ -17,7 +18,10 @@ router = APIRouter(tags=["health"], dependencies=[Depends(check_query)])
     "/metrics",
     operation_id="metrics",
     response_class=Response,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+    responses={
+        200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
+        **problem_responses(422),
+    },
 )
 async def metrics(service: ServiceDep) -> Response:
     """Return all metrics in Prometheus's text format."""

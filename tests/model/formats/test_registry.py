@@ -257,3 +257,11 @@ def test_junk(junk: bytes, start: bytes) -> None:
         with contextlib.suppress(CloudError):
             result = read(io.BytesIO(start + junk), format=name, limits=Limits(max_points=1000))
             assert len(result) <= 1000
+
+
+def test_notes_are_bounded() -> None:
+    """A file with hundreds of columns without a name gives some notes, not one for each."""
+    row = " ".join(["1.5"] * 200)
+    notes = read(io.BytesIO(f"{row}\n{row}\n{row}\n".encode()), format="xyz").notes
+    assert len(notes) <= 51
+    assert all(len(note) <= 500 for note in notes)
