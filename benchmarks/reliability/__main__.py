@@ -10,9 +10,11 @@ from pathlib import Path
 _HARNESSES = {
     "load": "64 clients, small and large clouds, some minutes",
     "overload": "ten times what the service can do",
-    "faults": "workers and the whole service killed at random moments",
+    "faults": "workers killed or stopped, and the whole service killed, at random moments",
     "fuzz": "a million broken files for the readers",
     "machines": "three worker hosts, a scheduler and two fronts: cut off, killed, joining",
+    "floods": "too many event streams, connections and columns",
+    "disk": "a full disk under the jobs, and room again (needs root)",
     "http": "broken HTTP of all kinds, and every route beyond its description",
 }
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIGKILL for a worker or for the whole service, at random moments, under requests and jobs."""
+"""SIGKILL for a worker or the whole service, SIGSTOP for a worker, under requests and jobs.
+
+The moments are random.
+"""
 
 import argparse
 import asyncio
@@ -12,6 +15,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import httpx2
 
@@ -22,13 +26,15 @@ from benchmarks.reliability.restarts import Phoenix
 from benchmarks.reliability.service import http, post
 from benchmarks.reliability.verdict import Claim, spread, verdict
 
-__all__ = ["arguments", "main"]
+__all__ = ["arguments", "choose", "main", "replaced"]
 
 _POINTS = (1_000, 3_000, 8_000)
 _SEEDS = 3
 _RETRY_S = 0.5
 _LOST_S = 600.0
 _ORPHAN_S = 30.0
+# Within which a stopped worker must be gone: five seconds of silence, on a busy machine.
+_STOPPED_S = 60.0
 
 
 @dataclass
@@ -36,12 +42,15 @@ class _Account:
     """Faults that were injected, and the reaction of the service.
 
     Attributes:
-        kills: by kind.
+        kills: by kind; a worker that is stopped counts too.
         given_up: requests that were not served within ten minutes.
         tries: what came back, by status.
         answered: requests served.
         worker_back_s: seconds from the death of a worker until all were warm.
         service_back_s: seconds from the death of the service until it was ready.
+        stopped_gone_s: seconds from the stop of a worker until its process was gone.
+        stopped_back_s: seconds from the stop of a worker until all were warm.
+        still_stopped: stopped workers that were not replaced in time.
         orphans: processes that outlived their service.
     """
 
@@ -51,17 +60,21 @@ class _Account:
     answered: int = 0
     worker_back_s: list[float] = field(default_factory=list)
     service_back_s: list[float] = field(default_factory=list)
+    stopped_gone_s: list[float] = field(default_factory=list)
+    stopped_back_s: list[float] = field(default_factory=list)
+    still_stopped: int = 0
     orphans: int = 0
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Describe what can be chosen."""
-    parser.add_argument("--runs", type=int, default=200, help="kills [200]")
+    parser.add_argument("--runs", type=int, default=200, help="faults [200]")
     parser.add_argument("--seconds", type=float, default=0.0, help="stop earlier [never]")
-    parser.add_argument("--service-share", type=float, default=0.25, help="of the kills [0.25]")
+    parser.add_argument("--service-share", type=float, default=0.25, help="killed [0.25]")
+    parser.add_argument("--stop-share", type=float, default=0.15, help="workers stopped [0.15]")
     parser.add_argument("--clients", type=int, default=3, help="that send requests [3]")
     parser.add_argument("--job-clients", type=int, default=3, help="that send jobs [3]")
-    parser.add_argument("--longest", type=float, default=6.0, help="seconds to a kill [6]")
+    parser.add_argument("--longest", type=float, default=6.0, help="seconds to a fault [6]")
     parser.add_argument("--seed", type=int, default=1)
 
 
@@ -95,8 +108,9 @@ async def _run(service: Phoenix, options: argparse.Namespace) -> int:
         rng = random.Random(options.seed)
         for run in range(options.runs):
             await asyncio.sleep(rng.uniform(0.1, options.longest))
-            await _kill(service, rng.random() < options.service_share, rng, account)
-            _tell(f"{run + 1} kills, {account.answered} requests, {jobs.succeeded} jobs")
+            kind = choose(rng.random(), options.service_share, options.stop_share)
+            await _inject(service, kind, rng, account)
+            _tell(f"{run + 1} faults, {account.answered} requests, {jobs.succeeded} jobs")
             if options.seconds and time.monotonic() - began > options.seconds:
                 break
         over.set()
@@ -124,16 +138,43 @@ async def _insist(
     return False
 
 
-async def _kill(service: Phoenix, whole: bool, rng: random.Random, account: _Account) -> None:
-    began = time.monotonic()
-    if not whole:
-        workers = service.server.workers()
-        if workers:
-            rng.choice(workers).kill()
-            account.kills["worker"] += 1
-            await asyncio.to_thread(service.until_all_warm)
-            account.worker_back_s.append(time.monotonic() - began)
-            return
+def choose(chance: float, service_share: float, stop_share: float) -> str:
+    """Return the kind of a fault for a random number of 0 to 1."""
+    if chance < service_share:
+        return "service"
+    return "stopped worker" if chance < service_share + stop_share else "worker"
+
+
+async def _inject(service: Phoenix, kind: str, rng: random.Random, account: _Account) -> None:
+    workers = [] if kind == "service" else service.server.workers()
+    if not workers:
+        await _kill_service(service, account)
+        return
+    began, worker = time.monotonic(), rng.choice(workers)
+    account.kills[kind] += 1
+    if kind == "worker":
+        worker.kill()
+        await asyncio.to_thread(service.until_all_warm)
+        account.worker_back_s.append(time.monotonic() - began)
+        return
+    worker.suspend()
+    if await asyncio.to_thread(replaced, worker, _STOPPED_S):
+        account.stopped_gone_s.append(time.monotonic() - began)
+        await asyncio.to_thread(service.until_all_warm)
+        account.stopped_back_s.append(time.monotonic() - began)
+    else:
+        account.still_stopped += 1
+
+
+def replaced(worker: Any, seconds: float) -> bool:
+    """Wait until the service has ended a stopped worker; let it go on if that takes too long."""
+    _, alive = psutil.wait_procs([worker], seconds)
+    for process in alive:
+        process.resume()
+    return not alive
+
+
+async def _kill_service(service: Phoenix, account: _Account) -> None:
     before = family(service.server.process.pid)
     os.kill(service.server.process.pid, signal.SIGKILL)
     account.kills["service"] += 1
@@ -185,12 +226,19 @@ def _report(
             f"{book.right} right, {len(book.wrong)} wrong",
             not book.wrong,
         ),
+        Claim(
+            f"a stopped worker is ended within {_STOPPED_S:g} s, and another one comes",
+            f"{len(account.stopped_back_s)} were, {account.still_stopped} were not",
+            not account.still_stopped,
+        ),
         Claim("no process outlives its service", f"{account.orphans} did", not account.orphans),
     ]
     tries = ", ".join(f"{n} times {status}" for status, n in sorted(account.tries.items()))
     figures = [
-        ("kills", f"{kills}: {shown}; in {seconds:.0f} s"),
+        ("faults", f"{kills}: {shown}; in {seconds:.0f} s"),
         ("from the kill of a worker until all are warm", spread(account.worker_back_s, "s")),
+        ("from the stop of a worker until it is gone", spread(account.stopped_gone_s, "s")),
+        ("from the stop of a worker until all are warm", spread(account.stopped_back_s, "s")),
         ("from the restart of the service until it is ready", spread(account.service_back_s, "s")),
         ("what came back of requests (0: the connection broke)", tries),
     ]
@@ -204,5 +252,5 @@ def _report(
     }
     status = verdict("faults", options.out, claims, figures, raw, os.sched_getaffinity(0))
     if kills < options.runs:
-        print(f"stopped after {kills} of {options.runs} kills")
+        print(f"stopped after {kills} of {options.runs} faults")
     return status

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Attacks on an open port: one coroutine for each kind.
 
-Each sends its part and returns the status lines that came back, ``()`` where the service hung up.
+Each sends its part and returns the statuses that came back, ``()`` where the service hung up. With
+a status of 500 or above comes the code of its problem, such as ``503 too_many_connections``.
 """
 
 import asyncio
@@ -16,9 +17,10 @@ from contextlib import asynccontextmanager
 __all__ = ["HOLDING", "QUICK", "Address", "statuses"]
 
 Address = tuple[str, int]
-Mischief = Callable[[Address, random.Random], Awaitable[tuple[int, ...]]]
+Mischief = Callable[[Address, random.Random], Awaitable[tuple[str, ...]]]
 
 _STATUS = re.compile(rb"HTTP/1\.[01] (\d{3}) ")
+_CODE = re.compile(rb'"code": ?"(\w+)"')
 _PATIENCE_S = 60.0
 _BORED_S = 3.0
 # Between two pieces of what never ends: who attacks shares the processor with who is attacked.
@@ -44,17 +46,26 @@ async def _connected(
             await writer.wait_closed()
 
 
-async def statuses(reader: asyncio.StreamReader, seconds: float = _PATIENCE_S) -> tuple[int, ...]:
+async def statuses(reader: asyncio.StreamReader, seconds: float = _PATIENCE_S) -> tuple[str, ...]:
     """Read until the other end hangs up or time is over; return the statuses that were in there."""
     found = b""
     with contextlib.suppress(OSError, TimeoutError):
         async with asyncio.timeout(seconds):
             while data := await reader.read(1 << 16):
                 found += data
-    return tuple(int(status) for status in _STATUS.findall(found))
+    # The text before the first status, then each status and the text that follows it.
+    _, *parts = _STATUS.split(found)
+    return tuple(
+        _named(status.decode(), text) for status, text in zip(parts[::2], parts[1::2], strict=True)
+    )
 
 
-async def _said(address: Address, data: bytes, seconds: float = 2.0) -> tuple[int, ...]:
+def _named(status: str, answer: bytes) -> str:
+    code = _CODE.search(answer) if status.startswith("5") else None
+    return f"{status} {code[1].decode()}" if code else status
+
+
+async def _said(address: Address, data: bytes, seconds: float = 2.0) -> tuple[str, ...]:
     async with _connected(address) as (reader, writer):
         with contextlib.suppress(OSError):
             writer.write(data)
@@ -62,14 +73,14 @@ async def _said(address: Address, data: bytes, seconds: float = 2.0) -> tuple[in
         return await statuses(reader, seconds)
 
 
-async def leave_at_once(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def leave_at_once(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Connect and reset, perhaps after a few bytes."""
     async with _connected(address) as (_, writer):
         writer.write(_POST[: rng.randrange(len(_POST))])
     return ()
 
 
-async def leave_amid_body(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def leave_amid_body(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Announce a body and pull the plug in the middle of it."""
     size = rng.choice((1000, 100_000, 3_000_000))
     async with _connected(address) as (_, writer):
@@ -80,7 +91,7 @@ async def leave_amid_body(address: Address, rng: random.Random) -> tuple[int, ..
     return ()
 
 
-async def endless_chunks(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def endless_chunks(address: Address, rng: random.Random) -> tuple[str, ...]:
     """A chunked body that goes on until somebody minds."""
     size = rng.choice((4096, 65_536))
     chunk = b"%x\r\n" % size + bytes(size) + b"\r\n"
@@ -99,7 +110,7 @@ async def endless_chunks(address: Address, rng: random.Random) -> tuple[int, ...
         return await answer
 
 
-async def endless_head(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def endless_head(address: Address, rng: random.Random) -> tuple[str, ...]:
     """A head without an end: one line, many lines, a path, a trailer or a chunk extension."""
     begin, more = rng.choice(
         (
@@ -123,7 +134,7 @@ async def endless_head(address: Address, rng: random.Random) -> tuple[int, ...]:
         return await answer
 
 
-async def pipeline(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def pipeline(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Many requests in one breath, some of them broken."""
     parts = [_WHOLE] * rng.choice((3, 50, 2000))
     if rng.random() < 0.5:
@@ -131,7 +142,7 @@ async def pipeline(address: Address, rng: random.Random) -> tuple[int, ...]:
     return await _said(address, b"".join(parts))
 
 
-async def garbage(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def garbage(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Send bytes that are not HTTP/1.1, or unusual HTTP/1.1."""
     body = b"ply\n"
     return await _said(
@@ -176,27 +187,27 @@ async def garbage(address: Address, rng: random.Random) -> tuple[int, ...]:
     )  # fmt: skip
 
 
-async def slow_head(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def slow_head(address: Address, rng: random.Random) -> tuple[str, ...]:
     """A byte of the head now and then, so that the connection never seems idle (slow loris)."""
     return await _drip(address, b"", _GET + b"X: " + b"a" * 10_000, rng)
 
 
-async def half_open(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def half_open(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Connect and say nothing."""
     return await _drip(address, b"", b"", rng)
 
 
-async def slow_second_head(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def slow_second_head(address: Address, rng: random.Random) -> tuple[str, ...]:
     """As `slow_head`, after a request that was in order."""
     return await _drip(address, _WHOLE, _GET + b"X: " + b"a" * 10_000, rng)
 
 
-async def silent_body(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def silent_body(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Announce a body and send nothing of it."""
     return await _drip(address, _POST + b"Content-Length: 100000\r\n\r\n", b"", rng)
 
 
-async def deaf(address: Address, rng: random.Random) -> tuple[int, ...]:
+async def deaf(address: Address, rng: random.Random) -> tuple[str, ...]:
     """Ask for a lot and never read it."""
     tcp = socket.socket()
     tcp.setblocking(False)
@@ -216,7 +227,7 @@ async def deaf(address: Address, rng: random.Random) -> tuple[int, ...]:
     return ()
 
 
-async def _drip(address: Address, first: bytes, rest: bytes, rng: random.Random) -> tuple[int, ...]:
+async def _drip(address: Address, first: bytes, rest: bytes, rng: random.Random) -> tuple[str, ...]:
     """Hold a connection until the service ends it, or for ever."""
     async with _connected(address) as (reader, writer):
         writer.write(first)

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The harnesses notice what they are there to notice; a small dose of each is part of every run."""
 
+import asyncio
 import io
 import itertools
 import json
 import math
 import mmap
+import random
+import subprocess
+import sys
 import time
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +21,17 @@ from numpy.typing import NDArray
 
 pytest.importorskip("benchmarks", reason="not part of a source distribution")
 
-from benchmarks.reliability import trial
+from benchmarks.reliability import disk, faults, floods, hostile, trial
 from benchmarks.reliability.clouds import Book, ask
 from benchmarks.reliability.corpus import corpus
+from benchmarks.reliability.http import faults_in
+from benchmarks.reliability.processes import psutil
 from benchmarks.reliability.verdict import Claim, quantile, verdict
 
 from pugeo_model import Cloud, formats
 from pugeo_model.formats import FORMATS
+from pugeo_service.http.request_limits import encode_response
+from pugeo_service.problems import ProblemError
 
 # A thousand inputs of those with which every warning is an error.
 START, STOP = 1_000, 2_000
@@ -138,3 +147,81 @@ def test_quantiles() -> None:
     assert quantile([3.0, 1.0, 2.0], 0.99) == 3.0
     assert quantile([3.0, 1.0, 2.0], 0.5) == 2.0
     assert math.isnan(quantile([], 0.5))
+
+
+Attack = Callable[[hostile.Address, random.Random], Awaitable[tuple[str, ...]]]
+
+
+def answers_to(attack: Attack, answer: bytes) -> tuple[str, ...]:
+    """What an attack tells of a service that always answers the same."""
+
+    async def one(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(answer)
+        writer.close()
+        await writer.wait_closed()
+
+    async def run() -> tuple[str, ...]:
+        async with await asyncio.start_server(one, "127.0.0.1", 0) as server:
+            return await attack(server.sockets[0].getsockname(), random.Random(0))
+
+    return asyncio.run(run())
+
+
+def test_refusals_are_no_faults() -> None:
+    """A 501 and too many connections are refusals; another 503 and a 500 are faults."""
+    problems = [
+        ProblemError(503, "too_many_connections", "text", retry_after=5),
+        ProblemError(501, "unsupported_transfer_coding", "text", retryable=False),
+        ProblemError(503, "engine_lost", "text", retry_after=5),
+        ProblemError(408, "slow", "text"),
+    ]
+    answer = b"".join(map(encode_response, problems)) + b"HTTP/1.1 500 Oh\r\n\r\n"
+    told = answers_to(hostile.half_open, answer)
+    assert told == (
+        "503 too_many_connections", "501 unsupported_transfer_coding", "503 engine_lost", "408",
+        "500",
+    )  # fmt: skip
+    assert faults_in(dict.fromkeys(told, 3)) == 6
+
+
+def test_columns_are_many_and_small() -> None:
+    """The archive of a thousand columns has some 300 KB, and is a cloud."""
+    body = floods.columns()
+    assert len(body) < 400_000
+    few = formats.read(io.BytesIO(floods.columns(10, 3)), limits=trial.LIMITS)
+    assert list(few.scalars) == ["s0", "s1", "s2"]
+
+
+def test_kinds_of_faults() -> None:
+    """Shares of the whole service and of stopped workers; the others are killed."""
+    kinds = [faults.choose(chance / 100, 0.25, 0.15) for chance in range(100)]
+    shares = {kind: kinds.count(kind) for kind in kinds}
+    assert shares == {"service": 25, "stopped worker": 15, "worker": 60}
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_stopped_worker_that_nobody_ends(ended: bool) -> None:
+    """It is told of, and goes on, so that the run can end."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        worker = psutil.Process(process.pid)
+        worker.suspend()
+        if ended:
+            worker.kill()
+        assert faults.replaced(worker, 0.1 if not ended else 60.0) is ended
+        if not ended:
+            assert worker.status() != psutil.STATUS_STOPPED
+        process.kill()
+
+
+def test_a_small_disk_is_full_and_has_room_again() -> None:
+    """It is filled to the last byte, and empty without the file."""
+    if lack := disk.missing():
+        pytest.skip(lack)
+    with disk.small_disk(1 << 20) as folder:
+        assert disk.fill(folder / "filler") == 1 << 20
+        with pytest.raises(OSError, match="No space left"):
+            (folder / "more").write_bytes(b"x")
+        (folder / "more").unlink()
+        (folder / "filler").unlink()
+        (folder / "more").write_bytes(bytes(100_000))
+    assert not folder.exists()
