@@ -27,11 +27,16 @@ from benchmarks.reliability.corpus import corpus
 from benchmarks.reliability.http import faults_in
 from benchmarks.reliability.processes import psutil
 from benchmarks.reliability.verdict import Claim, quantile, verdict
+from tests.service.engine.standard import STANDARD
 
 from pugeo_model import Cloud, formats
+from pugeo_model.errors import LimitExceededError
 from pugeo_model.formats import FORMATS
+from pugeo_service.engine import stages
 from pugeo_service.http.request_limits import encode_response
 from pugeo_service.problems import ProblemError
+from pugeo_service.runs import make_run_request
+from pugeo_service.settings import Settings
 
 # A thousand inputs of those with which every warning is an error.
 START, STOP = 1_000, 2_000
@@ -185,9 +190,15 @@ def test_refusals_are_no_faults() -> None:
 
 
 def test_columns_are_many_and_small() -> None:
-    """The archive of a thousand columns has some 300 KB, and is a cloud."""
+    """The archive of a thousand columns has some 300 KB, and its answer too many bytes."""
     body = floods.columns()
     assert len(body) < 400_000
+    order = make_run_request(
+        Settings(), {"ratio": 32.0}, model=STANDARD, format=None, answer="ply", deadline_s=9.0
+    )
+    with pytest.raises(LimitExceededError, match="bytes") as caught:
+        stages.prepare(np.frombuffer(body, np.uint8), order)
+    assert caught.value.code == "too_many_output_bytes"
     few = formats.read(io.BytesIO(floods.columns(10, 3)), limits=trial.LIMITS)
     assert list(few.scalars) == ["s0", "s1", "s2"]
 
