@@ -53,7 +53,7 @@ def test_a_request_names_its_model(server: Any, cloud: Cloud) -> None:
         assert response.headers["pugeo-model-sha256"] == weights.read_card(name)["sha256"]
     refused = HTTP.post(f"{server.url}/upsample?model=huge", content=b"1 2 3")
     assert (refused.status_code, refused.json()["code"]) == (422, "unknown_model")
-    assert refused.json()["allowed"] == ["fast", "scans", "standard"]
+    assert refused.json()["allowed"] == ["fast", "standard"]
 
 
 def test_the_header_chooses_the_canary(server: Any, cloud: Cloud) -> None:
@@ -72,7 +72,7 @@ def test_weights_are_replaced_while_the_service_runs(server: Any, cloud: Cloud) 
     """
     folder = Path(server.log).parent / "models"
     try:
-        for released in ("fast", "scans"):
+        for released in ("fast", "standard"):
             sha256 = weights.read_card(released)["sha256"]
             for suffix in (".safetensors", ".json"):
                 source = weights.locate(released).with_suffix(suffix)

@@ -222,7 +222,7 @@ def test_health_and_models(ask: Ask) -> None:
     card, *others = ask(lambda client: client.models())
     assert card["name"] == "fast"
     assert len(card["sha256"]) == 64
-    assert {"standard", "scans"} <= {other["name"] for other in others}
+    assert {"standard"} <= {other["name"] for other in others}
 
 
 def test_a_wrong_address(server: Server) -> None:

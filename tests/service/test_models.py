@@ -2,6 +2,7 @@
 """Models by name: released and own ones, changed while the service runs, chosen by chance."""
 
 import asyncio
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -45,6 +46,16 @@ def change_card(path: Path, change: dict[str, Any]) -> None:
     path.with_suffix(".json").write_text(json.dumps(kept))
 
 
+def alter(path: Path) -> str:
+    """Change one bit of weights, and their card with it; return the new sha256."""
+    data = bytearray(path.read_bytes())
+    data[-2] ^= 1
+    path.write_bytes(data)
+    digest = hashlib.sha256(data).hexdigest()
+    change_card(path, {"sha256": digest})
+    return digest
+
+
 def told(model: object) -> str:
     """The line about a default model that cannot be used."""
     with pytest.raises(BadOptionError) as caught:
@@ -85,7 +96,7 @@ def update(served: Models, workers: Workers) -> None:
 def test_released_models_are_served() -> None:
     """All released models have names, the default comes first, their cards state their sha256."""
     served = Models(Settings(model="fast"))
-    assert [model.name for model in served] == ["fast", "scans", "standard"]
+    assert [model.name for model in served] == ["fast", "standard"]
     assert served.default.name == "fast"
     for model in served:
         card = json.loads(weights.locate(model.name).with_suffix(".json").read_text())
@@ -95,7 +106,7 @@ def test_released_models_are_served() -> None:
 
 def test_no_such_weights() -> None:
     """An unknown default is refused with the known names, and so is an unknown canary."""
-    assert "give one of fast, scans, standard" in told("huge")
+    assert "give one of fast, standard" in told("huge")
     with pytest.raises(BadOptionError, match="PUGEO_CANARY=huge: no weights of this name"):
         Models(Settings(canary=("huge", 0.5)))
 
@@ -140,7 +151,7 @@ def test_a_folder_of_models(tmp_path: Path) -> None:
     copy("fast", tmp_path, "mine")
     copy("fast", tmp_path, "broken").write_bytes(b"")
     served = Models(Settings(models_dir=tmp_path))
-    assert [model.name for model in served] == ["standard", "fast", "mine", "scans"]
+    assert [model.name for model in served] == ["standard", "fast", "mine"]
     mine = served.named("mine")
     assert mine.card["name"] == "mine"
     assert mine.own is not None
@@ -159,7 +170,7 @@ def test_names_that_headers_cannot_carry(tmp_path: Path, name: str) -> None:
         served, workers = Models(Settings(models_dir=tmp_path)), Workers()
         update(served, workers)
         update(served, workers)
-    assert [model.name for model in served] == ["standard", "fast", "scans", "v1.2_a-B"]
+    assert [model.name for model in served] == ["standard", "fast", "v1.2_a-B"]
     refused = [entry for entry in logs if entry["event"] == "weights are not used"]
     assert [entry["file"] for entry in refused] == [ascii(path.name)]
     assert "ASCII letters, digits and . _ -" in refused[0]["reason"]
@@ -184,10 +195,10 @@ def test_weights_are_replaced_while_the_service_runs(
     update(served, workers)
     assert workers.calls == []
 
-    copy("scans", tmp_path, "standard")
+    sha256 = alter(tmp_path / "standard.safetensors")
     update(served, workers)
     after = served.default
-    assert after.id.sha256 == weights.read_card("scans")["sha256"]
+    assert after.id.sha256 == sha256
     assert workers.calls == [("install", after.id.sha256)]
     # Requests that began with the old weights may take as long as a job may.
     monkeypatch.setattr(models, "_now", lambda: 1e9)
@@ -200,13 +211,16 @@ def test_half_a_replacement_changes_nothing(tmp_path: Path) -> None:
     """Weights whose card is not there yet are not used; with the card they are."""
     path = copy("fast", tmp_path, "mine")
     served, workers = Models(Settings(models_dir=tmp_path)), Workers()
-    shutil.copy(weights.locate("scans"), path)
+    before = path.with_suffix(".json").read_bytes()
+    sha256 = alter(path)
+    card = path.with_suffix(".json").read_bytes()
+    path.with_suffix(".json").write_bytes(before)
     update(served, workers)
     assert served.named("mine").id.sha256 == weights.read_card("fast")["sha256"]
     assert workers.calls == []
-    shutil.copy(weights.locate("scans").with_suffix(".json"), path.with_suffix(".json"))
+    path.with_suffix(".json").write_bytes(card)
     update(served, workers)
-    assert served.named("mine").id.sha256 == weights.read_card("scans")["sha256"]
+    assert served.named("mine").id.sha256 == sha256
 
 
 @pytest.mark.usefixtures("unbuilt")
@@ -221,7 +235,7 @@ def test_models_come_and_go(tmp_path: Path) -> None:
     update(served, workers)
     with pytest.raises(ProblemError, match="no model 'mine'; this service has fast") as caught:
         served.named("mine")
-    assert caught.value.fields["allowed"] == ["fast", "scans", "standard"]
+    assert caught.value.fields["allowed"] == ["fast", "standard"]
     # Without its file in the folder the default is the released one again.
     (tmp_path / "standard.safetensors").unlink()
     update(served, workers)
@@ -271,7 +285,7 @@ def test_a_share_of_the_requests_gets_the_canary() -> None:
     assert served.choose(None, None, 0.25).name == "standard"
     assert served.choose(None, True, 0.9).name == "fast"
     assert served.choose(None, False, 0.1).name == "standard"
-    assert served.choose("scans", True, 0.1).name == "scans"
+    assert served.choose("standard", True, 0.1).name == "standard"
     without = Models(Settings())
     assert without.choose(None, True, 0.0).name == "standard"
 
