@@ -100,6 +100,8 @@ reliability-overload: $(VENV)/.installed-dev ## ten times the capacity for 2 min
 reliability-faults: $(VENV)/.installed-dev ## SIGKILL at 200 random moments (ARGS="--runs 20")
 reliability-fuzz: $(VENV)/.installed-dev ## a million broken files (ARGS="--replay 17")
 reliability-http: $(VENV)/.installed-dev ## broken HTTP, every route beyond its description
+reliability-floods: $(VENV)/.installed-dev ## floods of event streams, connections and columns
+reliability-disk: $(VENV)/.installed-dev ## a disk of jobs that is full, and back (needs root)
 reliability-machines: $(VENV)/.installed-dev ## six machines in network namespaces, cut off and killed (needs root)
 reliability-%:
 	@$(BIN)/python -m benchmarks.reliability $* $(ARGS)

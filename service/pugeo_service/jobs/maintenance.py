@@ -99,8 +99,8 @@ class Maintenance:
                 await asyncio.to_thread(self._reserve.fill)
                 if time.monotonic() - swept > _SWEEP_S:
                     swept = time.monotonic()
-                    await self._database.free(repository.prune, clock.now() - _KEEP_ROW_S)
-                    await self._sweep(clock.now() - _ORPHAN_S)
+                    await self._database.free(repository.prune, clock.deletion_time() - _KEEP_ROW_S)
+                    await self._sweep(clock.deletion_time() - _ORPHAN_S)
                 self.usage = await self._database.read(repository.usage)
             except ProblemError:
                 continue  # logged by the database
@@ -122,7 +122,7 @@ class Maintenance:
             await self._completion.fail(job, job.runner or "", crash_problem(job))
 
     async def _expire(self) -> None:
-        for job_id in await self._database.free(repository.expire, clock.now()):
+        for job_id in await self._database.free(repository.expire, clock.deletion_time()):
             await asyncio.to_thread(self._files.remove_result, job_id)
             self._telemetry.jobs.labels("expired").inc()
 

@@ -181,6 +181,7 @@ def open_house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, database_url: st
     monkeypatch.setattr("pugeo_service.jobs.runner._PROGRESS_S", 0.02)
     monkeypatch.setattr("pugeo_service.jobs.maintenance._INTERVAL_S", 0.05)
     monkeypatch.setattr("pugeo_service.jobs.completion._DATABASE_RETRY_S", 0.05)
+    monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 0.0)
 
     @asynccontextmanager
     async def opened(**settings: Any) -> AsyncIterator[House]:

@@ -258,6 +258,50 @@ def test_a_clock_that_jumps_deletes_nothing(play: Any, monkeypatch: pytest.Monke
     play(scenario)
 
 
+def test_a_start_with_a_wrong_clock_deletes_nothing(
+    open_house: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service that starts with its clock two days ahead keeps results; later they expire."""
+    real = time.time
+    ahead = [0.0]
+    monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
+
+    def restarted() -> None:
+        steady = SteadyClock()
+        monkeypatch.setattr("pugeo_service.jobs.clock.now", steady.now)
+        monkeypatch.setattr("pugeo_service.jobs.clock.deletion_time", steady.deletion_time)
+
+    async def run() -> None:
+        restarted()
+        async with open_house() as house:
+            job = await house.submit()
+            await house.until(job["id"], "succeeded")
+        ahead[0] = 2 * 86_400.0
+        restarted()
+        monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 1e9)
+        async with open_house() as house:
+            passes: list[None] = []
+            expire = house.jobs._maintenance._expire
+
+            async def counted() -> None:
+                await expire()
+                passes.append(None)
+
+            house.jobs._maintenance._expire = counted
+            await house.eventually(lambda: len(passes) >= 3)
+            ahead[0] = 0.0
+            await house.eventually(lambda: len(passes) >= 6)
+            result = await house.http.get(f"/jobs/{job['id']}/result")
+            assert result.status_code == 200
+        ahead[0] = 2 * 86_400.0
+        restarted()
+        monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 0.0)
+        async with open_house() as house:
+            await house.until(job["id"], "expired")
+
+    asyncio.run(run())
+
+
 def test_a_jump_that_lasts_is_a_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small steps count at once, a jump after an hour; one that ends before never does."""
     wall, monotonic = [1e9], [0.0]
