@@ -27,6 +27,9 @@ from pugeo_model.tuning import TUNING
 
 __all__ = ["Border", "UpsampledTile", "finish"]
 
+# Scales of clouds whose lengths are float32 numbers.
+_SMALLEST_FLOAT32, _LARGEST_FLOAT32 = 1e-25, 1e35
+
 
 @dataclass(frozen=True, eq=False)
 class Border:
@@ -84,8 +87,9 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
     if tile.keeps_input:
         _keep_attributes(tile, colors, scalars)
     if tile.confidence:
-        unit = expected_errors(prepared, projected)
-        scalars[EXPECTED_ERROR] = unit * np.float32(tile.normalisation.scale)
+        scalars[EXPECTED_ERROR] = _in_units(
+            expected_errors(prepared, projected), tile.normalisation.scale
+        )
     dense = replace(
         prepared.cloud,
         points=tile.normalisation.world(projected.points),
@@ -98,6 +102,13 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         signs, None if prepared.core.all() else _border_points(prepared, projected, room)
     )
     return UpsampledTile(dense, parts, border, prepared.noise, tile.normalisation)
+
+
+def _in_units(lengths: NDArray[np.float32], scale: float) -> NDArray[np.floating[Any]]:
+    """Lengths of the unit frame in the units of the cloud; float64 where float32 ends."""
+    if _SMALLEST_FLOAT32 < scale < _LARGEST_FLOAT32:
+        return lengths * np.float32(scale)
+    return lengths.astype(np.float64) * scale
 
 
 def _keep_attributes(

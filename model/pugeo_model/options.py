@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, NoReturn
 
 from pugeo_model.errors import BadOptionError
@@ -64,14 +65,17 @@ class Options:
     confidence: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("ratio", "n_points", "seed", "spacing", "max_gap"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, Real):
+                refuse(name, value, "a number")
         if not 1.0 <= self.ratio <= LARGEST_RATIO:
             refuse("ratio", self.ratio, "a number from 1 to 32", limit=[1, 32])
         if self.n_points is not None and self.n_points < 1:
             refuse("n_points", self.n_points, "a positive whole number")
         if self.orient not in METHODS:
             refuse("orient", self.orient, f"one of {', '.join(METHODS)}", allowed=list(METHODS))
-        if not all(len(at) == _AXES and all(map(math.isfinite, at)) for at in self.viewpoints):
-            refuse("viewpoint", self.viewpoint, "three finite numbers x, y, z")
+        self._check_viewpoints()
         if self.orient == "viewpoint" and not self.viewpoints:
             refuse("viewpoint", None, "given where orient is 'viewpoint'")
         if not 0 <= self.seed < 2**63:
@@ -83,6 +87,15 @@ class Options:
             if value is not None and not 0.0 < value < math.inf:
                 refuse(name, value, "a positive number, in the units of the cloud")
         self._check_combinations()
+
+    def _check_viewpoints(self) -> None:
+        """Refuse positions that are no three finite numbers each."""
+        try:
+            good = all(len(at) == _AXES and all(map(math.isfinite, at)) for at in self.viewpoints)
+        except (TypeError, ValueError, OverflowError):
+            good = False
+        if not good:
+            refuse("viewpoint", self.viewpoint, "three finite numbers x, y, z")
 
     def _check_combinations(self) -> None:
         """Refuse options that contradict each other."""
@@ -99,11 +112,13 @@ class Options:
 
     @property
     def viewpoints(self) -> tuple[Position, ...]:
-        """All sensor positions."""
+        """All sensor positions, as floats."""
         if self.viewpoint is None:
             return ()
-        first = self.viewpoint[0]
-        return (self.viewpoint,) if isinstance(first, int | float) else self.viewpoint  # type: ignore[return-value]
+        positions: Any = tuple(self.viewpoint)
+        if positions and isinstance(positions[0], Real):
+            positions = (positions,)
+        return tuple(tuple(map(float, at)) for at in positions)
 
     @property
     def is_even(self) -> bool:

@@ -280,10 +280,12 @@ def _points_at_spacing(
     assert options.spacing is not None
     most = int(LARGEST_RATIO) * count
     area = float(areas_of_quotas(weights, 1.0).sum())
-    wanted = area / area_of_spacing(options.spacing / scale)
+    finest = spacing_of_area(area / most) * scale
+    coarsest = spacing_of_area(area / FEWEST) * scale
+    # The area of a spacing far beyond both is no number.
+    near = 0.5 * finest < options.spacing < 2.0 * coarsest
+    wanted = area / area_of_spacing(options.spacing / scale) if near else 0.0
     if not FEWEST <= wanted <= most:
-        finest = spacing_of_area(area / most) * scale
-        coarsest = spacing_of_area(area / FEWEST) * scale
         refuse(
             "spacing",
             options.spacing,

@@ -203,6 +203,12 @@ def test_untreatable_clouds(upsampler, points):
         {"viewpoint": (0.0, float("inf"), 0.0)},
         {"seed": -1},
         {"n_points": 0},
+        {"ratio": "4"},
+        {"spacing": "0.1"},
+        {"max_gap": [1.0]},
+        {"viewpoint": "top"},
+        {"viewpoint": (1.0, 2.0)},
+        {"viewpoint": (1.0, (2.0, 3.0), 4.0)},
     ],
 )
 def test_bad_options(options):
@@ -210,6 +216,30 @@ def test_bad_options(options):
     with pytest.raises(BadOptionError) as caught:
         Options(**options)
     assert caught.value.fields["parameter"] in {*options, "viewpoint"}
+
+
+@pytest.mark.parametrize("spacing", [1e300, 1e155, 1e-170, 5e-324])
+def test_spacings_beyond_all_numbers(sphere, spacing):
+    """A spacing whose square is no number is refused, with the spacings that there can be."""
+    with pytest.raises(BadOptionError, match="spacing must be from"):
+        make_plan(Cloud(sphere), Options(spacing=spacing))
+
+
+def test_viewpoints_in_an_array():
+    """Positions are those of the rows; none are as if the option were left out."""
+    places = np.array([[0, 0, 9], [0, 0, -9]], dtype=np.float32)
+    assert Options(viewpoint=places).viewpoints == ((0.0, 0.0, 9.0), (0.0, 0.0, -9.0))
+    assert Options(viewpoint=places[0]).viewpoints == ((0.0, 0.0, 9.0),)
+    assert Options(viewpoint=()).viewpoints == ()
+
+
+@pytest.mark.parametrize("scale", [1e-60, 1e50])
+def test_expected_errors_at_any_scale(upsampler, sphere, scale):
+    """The expected error is a positive number where float32 has none of that size."""
+    dense = upsampler(sphere.astype(np.float64) * scale, 2, confidence=True).cloud
+    error = dense.scalars["expected_error"] / scale
+    assert np.isfinite(error).all()
+    assert error.min() > 0
 
 
 @pytest.mark.parametrize("count", [8, 9, 20, 33, 40])

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 __all__ = ["DISK_SIDE", "disk"]
 
@@ -13,6 +14,9 @@ DISK_SIDE = 0.87
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 _DENSE = 256  # integration points per sample in Lloyd's relaxation
+_ROUNDS = 40
+_MANY = 64  # samples from which the spiral is nearly even, and the relaxation is shorter
+_FEWER_DENSE, _FEWER_ROUNDS = 32, 10
 
 
 @lru_cache(maxsize=128)
@@ -29,10 +33,14 @@ def disk(count: int) -> NDArray[np.float32]:
         ``(count, 2)`` float32, with mean 0.
     """
     samples = _spiral(count)
-    dense = _spiral(count * _DENSE)
-    for _ in range(40):
-        distance = ((dense[:, None, :] - samples[None]) ** 2).sum(axis=-1)
-        nearest = distance.argmin(axis=1)
+    many = count > _MANY
+    dense = _spiral(count * (_FEWER_DENSE if many else _DENSE))
+    for _ in range(_FEWER_ROUNDS if many else _ROUNDS):
+        if many:
+            # All pairs would cost the square of the number of samples.
+            nearest = cKDTree(samples).query(dense)[1]
+        else:
+            nearest = ((dense[:, None, :] - samples[None]) ** 2).sum(axis=-1).argmin(axis=1)
         mass = np.maximum(np.bincount(nearest, minlength=count), 1)
         for axis in range(2):
             samples[:, axis] = np.bincount(nearest, dense[:, axis], count) / mass

@@ -74,7 +74,7 @@ def directions_to_visible_stations(
     total = np.zeros((len(points), 3))
     for station in stations:
         offset = station - points
-        seen = _in_front(-offset, np.linalg.norm(offset, axis=1), spacing)
+        seen = _in_front(-offset, _lengths(offset), spacing)
         total[seen] += _unit(offset[seen])
     return total.astype(np.float32)
 
@@ -130,6 +130,12 @@ def _in_front(
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: NDArray[np.float64] = vectors / np.maximum(length, 1e-300)
+    unit: NDArray[np.float64] = vectors / np.maximum(_lengths(vectors), 1e-300)[:, None]
     return unit
+
+
+def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths ``(M,)``, also where squares of the components would be infinite."""
+    largest = np.maximum(np.abs(vectors).max(axis=1), 1e-300)
+    lengths: NDArray[np.float64] = largest * np.linalg.norm(vectors / largest[:, None], axis=1)
+    return lengths
