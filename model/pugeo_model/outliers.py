@@ -13,11 +13,16 @@ __all__ = ["wild_points"]
 
 _FAR = 100.0  # extents of the other points from them to a wild point
 _FEW = 0.001  # share of points that may be wild
-_FEWEST = 8  # points that may be wild in any cloud
-_SMALLEST = 64  # points of a cloud below which none is wild: there is no bulk to compare with
+_FEWEST = 32  # points that may be wild in any cloud, but
+_FEWEST_SHARE = 0.125  # no more than this share of a small one
+_SMALLEST = 24  # points of a cloud below which none is wild: there is no bulk to compare with
 _NO_DATA = 1.0  # extents of the other points from them to a no-data value
 _SMALLEST_NO_DATA = 9999.0  # in size
-_NO_DATA_SHARE = 0.5  # share of points that may have a no-data value
+_NO_DATA_SHARE = 0.5  # share of points that may have any such value
+_KNOWN_NO_DATA = (999.0, 9999.0, 99999.0, 32767.0, 32768.0)  # sizes that rasters use
+_HUGE_NO_DATA = 1e30  # likewise, as the largest float32 number is
+_KNOWN_SHARE = 0.95  # share of points that may have a value that rasters use
+_MOST_NO_DATA = 4  # different values of one axis
 
 
 def wild_points(points: NDArray[Any]) -> NDArray[np.bool_]:
@@ -36,7 +41,7 @@ def wild_points(points: NDArray[Any]) -> NDArray[np.bool_]:
     none = np.zeros(len(points), np.bool_)
     if len(points) < _SMALLEST:
         return none
-    few = max(_FEWEST, int(_FEW * len(points)))
+    few = max(min(_FEWEST, int(_FEWEST_SHARE * len(points))), int(_FEW * len(points)))
     # Halved, since differences of huge values overflow.
     halves = points.astype(np.float64) / 2.0
     no_data = np.logical_or.reduce([_no_data(column) for column in halves.T], initial=False)
@@ -77,24 +82,38 @@ def _edge(values: NDArray[np.float64], start: float, extent: float) -> float:
 
 
 def _no_data(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Points that share one extreme value far from all others, ``(M,)``.
+    """Points that share extreme values far from all others, ``(M,)``.
 
     Args:
         values: halved coordinates of one axis.
     """
     found = np.zeros(len(values), np.bool_)
-    if not len(values):
-        return found
-    for extreme in (float(values.min()), float(values.max())):
-        if 2.0 * abs(extreme) < _SMALLEST_NO_DATA:
+    for _ in range(_MOST_NO_DATA):
+        same = _one_no_data(values, ~found)
+        if same is None:
+            break
+        found |= same
+    return found
+
+
+def _one_no_data(values: NDArray[np.float64], left: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Points that share one extreme value of those left, far from all others."""
+    if not left.any():
+        return None
+    for extreme in (float(values[left].min()), float(values[left].max())):
+        size = 2.0 * abs(extreme)
+        known = size in _KNOWN_NO_DATA or size > _HUGE_NO_DATA
+        if size < _SMALLEST_NO_DATA and not known:
             continue
         same = values == extreme
         count = np.count_nonzero(same)
-        if not 2 <= count <= _NO_DATA_SHARE * len(values):
+        if not 2 <= count <= (_KNOWN_SHARE if known else _NO_DATA_SHARE) * len(values):
             continue
-        others = values[~same]
+        others = values[left & ~same]
+        if not len(others):
+            continue
         low, high = float(others.min()), float(others.max())
         gap = max(low - extreme, extreme - high)
         if gap > _NO_DATA * (high - low) and gap > 0.5 * abs(extreme):
-            found |= same
-    return found
+            return same
+    return None

@@ -35,6 +35,38 @@ def test_many_points_with_a_no_data_value_are_found(value: float) -> None:
     assert np.array_equal(np.flatnonzero(wild_points(points)), np.arange(0, 2000, 3))
 
 
+@pytest.mark.parametrize("value", [-999.0, -9999.0, -3.4028234663852886e38])
+@pytest.mark.parametrize("share", [0.1, 0.55, 0.9])
+def test_most_points_may_have_a_value_that_rasters_use(value: float, share: float) -> None:
+    """A raster may have more cells without data than with."""
+    points = _cloud() * 100.0
+    empty = np.random.default_rng(1).random(len(points)) < share
+    points[empty, 2] = value
+    assert np.array_equal(wild_points(points), empty)
+
+
+def test_two_no_data_values_are_found() -> None:
+    """Both are left out, whichever is farther away."""
+    points = _cloud() * 100.0
+    points[:400, 2], points[400:800, 2] = -9999.0, 3e38
+    assert np.array_equal(np.flatnonzero(wild_points(points)), np.arange(800))
+
+
+def test_planes_at_common_heights_stay() -> None:
+    """Two exact levels are no no-data values if neither is one that rasters use."""
+    points = _cloud() * 100.0
+    points[:700, 2] = 1000.0
+    assert not wild_points(points).any()
+
+
+@pytest.mark.parametrize(("count", "wild"), [(2000, 20), (60, 1), (30, 1), (100, 9)])
+def test_a_group_of_wild_points_is_found(count: int, wild: int) -> None:
+    """Points that were moved together are wild, in small clouds too."""
+    points = _cloud(count)
+    points[:wild] += 1e7
+    assert np.array_equal(np.flatnonzero(wild_points(points)), np.arange(wild))
+
+
 def test_a_point_off_a_flat_plate_stays() -> None:
     """Extents count over all axes: one point above an exact plane is a detail."""
     points = _cloud() * [100.0, 100.0, 0.0]
