@@ -103,6 +103,17 @@ def test_no_gap_is_larger_than_asked(upsampler: Upsampler, scan: Cloud) -> None:
     assert knn(cKDTree(scan.points), dense.points, 1)[0].max() < gap * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("tile", [TILE, None])
+def test_no_point_is_moved_farther_than_asked(
+    upsampler: Upsampler, scan: Cloud, tile: int | None
+) -> None:
+    """Denoised points stay as near to their own places as asked, in every tile."""
+    moved = run(upsampler, scan, Options(ratio=1.0, denoise=True, max_gap=0.03), tile).cloud
+    distance = np.linalg.norm(moved.points - scan.points, axis=1)
+    assert distance.max() < 0.03 * (1 + 1e-6)
+    assert np.count_nonzero(distance > 0.02) > 0.1 * len(scan)
+
+
 def test_a_spacing_is_reached(upsampler: Upsampler, scan: Cloud) -> None:
     """The spacing that was asked for is that of the answer, on the dense and the sparse side."""
     dense = run(upsampler, scan, Options(spacing=0.08)).cloud
