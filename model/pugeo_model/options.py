@@ -118,7 +118,7 @@ class Options:
         positions: Any = tuple(self.viewpoint)
         if positions and isinstance(positions[0], Real):
             positions = (positions,)
-        return tuple(tuple(map(float, at)) for at in positions)
+        return tuple(tuple(map(float, at)) for at in positions)  # type: ignore[misc]
 
     @property
     def is_even(self) -> bool:

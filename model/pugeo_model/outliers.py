@@ -105,7 +105,7 @@ def _one_no_data(values: NDArray[np.float64], left: NDArray[np.bool_]) -> NDArra
         known = size in _KNOWN_NO_DATA or size > _HUGE_NO_DATA
         if size < _SMALLEST_NO_DATA and not known:
             continue
-        same = values == extreme
+        same: NDArray[np.bool_] = values == extreme
         count = np.count_nonzero(same)
         if not 2 <= count <= (_KNOWN_SHARE if known else _NO_DATA_SHARE) * len(values):
             continue

@@ -2,6 +2,7 @@
 """Upsampling of whole clouds, and the order of its stages."""
 
 from collections.abc import Generator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -227,7 +228,7 @@ def test_spacings_beyond_all_numbers(sphere, spacing):
 
 def test_viewpoints_in_an_array():
     """Positions are those of the rows; none are as if the option were left out."""
-    places = np.array([[0, 0, 9], [0, 0, -9]], dtype=np.float32)
+    places: Any = np.array([[0, 0, 9], [0, 0, -9]], dtype=np.float32)
     assert Options(viewpoint=places).viewpoints == ((0.0, 0.0, 9.0), (0.0, 0.0, -9.0))
     assert Options(viewpoint=places[0]).viewpoints == ((0.0, 0.0, 9.0),)
     assert Options(viewpoint=()).viewpoints == ()
