@@ -71,10 +71,10 @@ _NOTES = {
     ),
     "ablation": (
         "Each line is a recipe that leaves out one part of the full model; data, seed, steps and "
-        "loss weights are the same; hours are those of a busy machine. After 250 steps all lines of "
-        "the network as published are within 2 % of each other in CD: such a budget does not tell "
-        "its parts apart. Of ours the full model is the best in CD, HD and P2F, and without T the "
-        "network is the worst in both, as in the paper."
+        "loss weights are the same; hours are those of a busy machine. After 250 steps all lines "
+        "of the network as published are within 2 % of each other in CD: such a budget does not "
+        "tell its parts apart. Of ours the full model is the best in CD, HD and P2F; without T it "
+        "is the worst in all three, as the paper's is in CD."
     ),
     "geometry": (
         "5,000 even points of a sphere of diameter 1 and of a cube of side 1. T holds the tangents "
