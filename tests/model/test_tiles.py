@@ -105,12 +105,12 @@ def test_no_seam_shows(upsampler):
         )
         # Without the separation at the seams, 2 to 14 points of such a ball are as close to
         # another one as 0.13 of the smallest distance here.
-        assert (tiles[:100] > 0.9 * once[:100]).all()
+        assert (tiles[:100] > 0.7 * once[:100]).all()
         ratios.append(tiles[:100] / once[:100])
         assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
         assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
     # Rounding, which differs between processors, decides on the pairs of one ball, not on the mean.
-    assert (np.mean(ratios, axis=0) > 0.95).all()
+    assert (np.mean(ratios, axis=0) > 0.85).all()
 
 
 @pytest.mark.slow

@@ -236,7 +236,7 @@ def test_a_worker_that_is_stopped_while_it_starts(
 ) -> None:
     """The start is given up, and the stop ends the process, which cannot end itself."""
     psutil: Any = importlib.import_module("psutil")
-    monkeypatch.setattr(dask_backend, "_RISE_S", 0.5)
+    monkeypatch.setattr(dask_backend, "_CLUSTER_START_S", 0.5)
 
     def runs(process: Any) -> bool:
         try:

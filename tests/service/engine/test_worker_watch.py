@@ -20,14 +20,16 @@ from pugeo_service.engine import dask_config, scheduler_host, worker_host, worke
 from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.settings import Settings
 
-Scenario = Callable[[DaskBackend, dict[str, int]], Awaitable[None]]
+Pids = Callable[[], dict[str, int]]
+Scenario = Callable[[DaskBackend, Pids], Awaitable[None]]
 
 
 @pytest.fixture
 def play(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Scenario], None]:
     """Run a scenario with a scheduler, a host of two light workers, and a front, over TLS.
 
-    The scenario gets the backend of the front, and the process ids of workers by their addresses.
+    The scenario gets the backend of the front, and a function that returns the process ids
+    of the present workers by their addresses: a busy machine may replace one.
     """
     config = {**dask_config.CONFIG, "distributed.worker.preload": [light.__name__]}
     monkeypatch.setattr(dask_config, "CONFIG", config)
@@ -50,7 +52,9 @@ def play(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Callabl
             await host._reached.wait()
             await backend.start()
             await warm(backend, 2)
-            await scenario(backend, {each.worker_address: each.pid for each in host._nannies})
+            await scenario(
+                backend, lambda: {each.worker_address: each.pid for each in host._nannies}
+            )
         finally:
             await backend.stop()
             stop.set()
@@ -81,18 +85,19 @@ def test_a_stopped_worker_is_replaced(play: Callable[[Scenario], None], tmp_path
     """Its task runs elsewhere, its process is ended, and another one comes."""
     gate, log = tmp_path / "gate", tmp_path / "log"
 
-    async def scenario(backend: DaskBackend, pids: dict[str, int]) -> None:
+    async def scenario(backend: DaskBackend, pids: Pids) -> None:
         held = submit(backend, light.hold, str(gate), str(log), "held")
         await until(log.exists)
         processing = await backend._client.processing()
         (address,) = [worker for worker, keys in processing.items() if held.key in keys]
-        os.kill(pids[address], signal.SIGSTOP)
+        pid = pids()[address]
+        os.kill(pid, signal.SIGSTOP)
         # The other worker has begun it, while the gate is still closed.
         await until(lambda: log.read_text().split() == ["held", "held"])
         gate.touch()
         assert await backend.fetch(held) == "held"
         await until_gone(backend, address, 2)
-        assert not psutil.pid_exists(pids[address])
+        assert not psutil.pid_exists(pid)
 
     play(scenario)
 
@@ -107,8 +112,8 @@ def test_a_worker_that_goes_on_comes_back(
 
     monkeypatch.setattr(worker_watch.WorkerWatch, "_restart", never)
 
-    async def scenario(backend: DaskBackend, pids: dict[str, int]) -> None:
-        address, pid = next(iter(pids.items()))
+    async def scenario(backend: DaskBackend, pids: Pids) -> None:
+        address, pid = next(iter(pids().items()))
         os.kill(pid, signal.SIGSTOP)
         await until_gone(backend, address, 1)
         os.kill(pid, signal.SIGCONT)
