@@ -153,16 +153,14 @@ def _within_bounds(
         shadows=False,
     )
     points, room = _moved_within(projected.points, prepared.points[nearest], limit, tile.unmoved)
-    if tile.max_gap is not None and tile.moves_input:
-        # Each point is one of the input, so the gap is to its own place.
-        own = tile.normalisation.unit(tile.cloud.points[: tile.kept])
-        gap = np.full(len(points), tile.max_gap)
-        points, less = _moved_within(points, own, gap, 0)
-        room = np.minimum(room, less)
-    elif tile.max_gap is not None and (tile.input is not None or tile.noisy is not None):
+    if tile.max_gap is not None and (
+        tile.moves_input or tile.input is not None or tile.noisy is not None
+    ):
         # Charts of a noisy scan lie between its points: the gap is to the points themselves.
         places = tile.normalisation.unit(tile.cloud.points)
-        places = places[knn(cKDTree(places), points, 1)[1][:, 0]]
+        # A denoised point is one of the input, so the gap is to its own place.
+        own = tile.moves_input
+        places = places[: tile.kept] if own else places[knn(cKDTree(places), points, 1)[1][:, 0]]
         gap = np.full(len(points), tile.max_gap)
         points, less = _moved_within(points, places, gap, tile.unmoved)
         room = np.minimum(room, less)

@@ -83,7 +83,7 @@ def compile_kernels(
 
 
 def _compile_here() -> None:
-    """Upsample small clouds so that every kernel of this is compiled and stored."""
+    """Upsample small clouds so that all kernels of an upsampling are compiled and stored."""
     import numpy as np
 
     from pugeo_model.cloud import Cloud

@@ -11,7 +11,6 @@ from pugeo_model.orient.methods import METHODS
 
 __all__ = ["DENSITIES", "LARGEST_RATIO", "Options", "Position", "refuse"]
 
-_AXES = 3
 Position = tuple[float, float, float]
 
 LARGEST_RATIO = 32.0
@@ -89,9 +88,9 @@ class Options:
         self._check_combinations()
 
     def _check_viewpoints(self) -> None:
-        """Refuse positions that are no three finite numbers each."""
+        """Refuse positions that are not three finite numbers each."""
         try:
-            good = all(len(at) == _AXES and all(map(math.isfinite, at)) for at in self.viewpoints)
+            good = all(math.isfinite(value) for at in self.viewpoints for value in at)
         except (TypeError, ValueError, OverflowError):
             good = False
         if not good:
@@ -118,7 +117,7 @@ class Options:
         positions: Any = tuple(self.viewpoint)
         if positions and isinstance(positions[0], Real):
             positions = (positions,)
-        return tuple(tuple(map(float, at)) for at in positions)  # type: ignore[misc]
+        return tuple((float(x), float(y), float(z)) for x, y, z in positions)
 
     @property
     def is_even(self) -> bool:

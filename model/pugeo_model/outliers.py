@@ -13,8 +13,8 @@ __all__ = ["wild_points"]
 
 _FAR = 100.0  # extents of the other points from them to a wild point
 _FEW = 0.001  # share of points that may be wild
-_FEWEST = 32  # points that may be wild in any cloud, but
-_FEWEST_SHARE = 0.125  # no more than this share of a small one
+_FEWEST = 32  # points that may be wild in any cloud of some hundred points
+_FEWEST_SHARE = 0.125  # share of points that may be wild in a smaller one
 _SMALLEST = 24  # points of a cloud below which none is wild: there is no bulk to compare with
 _NO_DATA = 1.0  # extents of the other points from them to a no-data value
 _SMALLEST_NO_DATA = 9999.0  # in size
@@ -22,7 +22,7 @@ _NO_DATA_SHARE = 0.5  # share of points that may have any such value
 _KNOWN_NO_DATA = (999.0, 9999.0, 99999.0, 32767.0, 32768.0)  # sizes that rasters use
 _HUGE_NO_DATA = 1e30  # likewise, as the largest float32 number is
 _KNOWN_SHARE = 0.95  # share of points that may have a value that rasters use
-_MOST_NO_DATA = 4  # different values of one axis
+_MOST_NO_DATA = 4  # no-data values of one axis
 
 
 def wild_points(points: NDArray[Any]) -> NDArray[np.bool_]:
@@ -88,32 +88,36 @@ def _no_data(values: NDArray[np.float64]) -> NDArray[np.bool_]:
         values: halved coordinates of one axis.
     """
     found = np.zeros(len(values), np.bool_)
+    others = values
     for _ in range(_MOST_NO_DATA):
-        same = _one_no_data(values, ~found)
-        if same is None:
+        value = _no_data_value(others, len(values))
+        if value is None:
             break
-        found |= same
+        found |= values == value
+        others = values[~found]
     return found
 
 
-def _one_no_data(values: NDArray[np.float64], left: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    """Points that share one extreme value of those left, far from all others."""
-    if not left.any():
+def _no_data_value(values: NDArray[np.float64], count: int) -> float | None:
+    """An extreme value that some of the points share, far from all others; ``None`` without one.
+
+    Args:
+        values: halved coordinates of one axis.
+        count: number of all points.
+    """
+    if not len(values):
         return None
-    for extreme in (float(values[left].min()), float(values[left].max())):
+    for extreme in (float(values.min()), float(values.max())):
         size = 2.0 * abs(extreme)
         known = size in _KNOWN_NO_DATA or size > _HUGE_NO_DATA
         if size < _SMALLEST_NO_DATA and not known:
             continue
-        same: NDArray[np.bool_] = values == extreme
-        count = np.count_nonzero(same)
-        if not 2 <= count <= (_KNOWN_SHARE if known else _NO_DATA_SHARE) * len(values):
-            continue
-        others = values[left & ~same]
-        if not len(others):
+        others = values[values != extreme]
+        most = (_KNOWN_SHARE if known else _NO_DATA_SHARE) * count
+        if not len(others) or not 2 <= len(values) - len(others) <= most:
             continue
         low, high = float(others.min()), float(others.max())
         gap = max(low - extreme, extreme - high)
         if gap > _NO_DATA * (high - low) and gap > 0.5 * abs(extreme):
-            return same
+            return extreme
     return None

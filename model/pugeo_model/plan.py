@@ -282,17 +282,14 @@ def _points_at_spacing(
     area = float(areas_of_quotas(weights, 1.0).sum())
     finest = spacing_of_area(area / most) * scale
     coarsest = spacing_of_area(area / FEWEST) * scale
-    # The area of a spacing far beyond both is no number.
-    near = 0.5 * finest < options.spacing < 2.0 * coarsest
-    wanted = area / area_of_spacing(options.spacing / scale) if near else 0.0
-    if not FEWEST <= wanted <= most:
+    if not finest <= options.spacing <= coarsest:
         refuse(
             "spacing",
             options.spacing,
             f"from {finest:.4g} to {coarsest:.4g} for this cloud: {most} to {FEWEST} points",
             limit=[finest, coarsest],
         )
-    return round(wanted)
+    return round(area / area_of_spacing(options.spacing / scale))
 
 
 def _refuse_without_charts(options: Options) -> None:

@@ -59,15 +59,6 @@ _SETTINGS = {
     "max_output_bytes": "PUGEO_MAX_OUTPUT_BYTES",
     "worker_memory": "PUGEO_WORKER_MEMORY",
 }
-# Code of a problem that tells how full several resources are -> members with the use and with the
-# capacity of each, and the setting that raises it. The problem is about the first one that is full,
-# or else about the last one, in which the request found no room.
-_CAPACITIES = {
-    "jobs_full": (
-        ("active_jobs", "capacity_jobs", "PUGEO_JOBS_QUEUE"),
-        ("bytes", "capacity_bytes", "PUGEO_JOBS_BYTES"),
-    ),
-}
 
 NO_SETTING = "No setting of the service changes this limit."
 
@@ -128,9 +119,6 @@ class ProblemError(Exception):
         self.retryable = status in _RETRYABLE if retryable is None else retryable
         self.headers = dict(headers or {})
         self.fields = dict(fields or {})
-        setting = _exhausted(code, self.fields)
-        if setting is not None:
-            self.fields.setdefault("setting", setting)
         if retry_after is not None:
             self.headers["Retry-After"] = str(max(1, math.ceil(retry_after)))
 
@@ -173,15 +161,6 @@ class ProblemError(Exception):
         return Response(
             encode_json(members), self.status, headers=self.headers, media_type=MEDIA_TYPE
         )
-
-
-def _exhausted(code: str, fields: Mapping[str, Any]) -> str | None:
-    """Return the setting of the resource that is full, if the code is about some."""
-    resources = _CAPACITIES.get(code, ())
-    for used, capacity, setting in resources:
-        if fields[used] >= fields[capacity]:
-            return setting
-    return resources[-1][2] if resources else None
 
 
 def bug() -> ProblemError:

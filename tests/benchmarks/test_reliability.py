@@ -158,7 +158,7 @@ Attack = Callable[[hostile.Address, random.Random], Awaitable[tuple[str, ...]]]
 
 
 def answers_to(attack: Attack, answer: bytes) -> tuple[str, ...]:
-    """What an attack tells of a service that always answers the same."""
+    """Return the answers that an attack reports of a service which always sends the same."""
 
     async def one(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(answer)

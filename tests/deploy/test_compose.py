@@ -79,7 +79,7 @@ def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None
 def test_settings_of_the_operations_page_are_passed_on(
     root: Path, services: dict[str, Any]
 ) -> None:
-    """Whoever sets in .env what that page advises changes the service."""
+    """Each setting that the page advises reaches the service from `.env`."""
     image = (root / "Dockerfile").read_text("utf-8")
     fixed = set(re.findall(r"(PUGEO_\w+)=\S", image))
     text = (root / "docs/how-to/operations.md").read_text("utf-8")

@@ -88,6 +88,7 @@ def streams() -> ProblemError:
         lambda: check_share(
             "streams",
             "the event streams",
+            None,
             held=9,
             held_elsewhere=9,
             wanted=1,

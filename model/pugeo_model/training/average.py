@@ -14,6 +14,7 @@ import torch
 from pugeo_model.errors import BadOptionError
 from pugeo_model.network.build import build_network
 from pugeo_model.network.pugeo import Architecture
+from pugeo_model.options import refuse
 from pugeo_model.weights import read_card, save, start_from
 
 __all__ = ["average"]
@@ -36,9 +37,7 @@ def average(first: str | Path, second: str | Path, share: float, path: Path) -> 
             a path that does not end in ``.safetensors``.
     """
     if not 0 <= share <= 1:
-        raise BadOptionError(
-            f"the share of the second weights is {share}: give 0 to 1", name="share"
-        )
+        refuse("share", share, "a number from 0 to 1", limit=[0, 1])
     if path.suffix != ".safetensors":
         raise BadOptionError(
             f"{str(path)!r} does not end in .safetensors, by which weights are found",

@@ -247,6 +247,7 @@ class Reservation:
             check_share(
                 unit,
                 "the queue",
+                f"PUGEO_QUEUE_{unit.upper()}",
                 held=getattr(held, unit),
                 held_elsewhere=getattr(held, unit) - getattr(self.usage, unit),
                 wanted=getattr(more, unit),

@@ -14,20 +14,11 @@ from pugeo_service.problems import NO_SETTING, ProblemError
 
 __all__ = ["check_share"]
 
-# Resource and unit -> the setting that raises its capacity, and by that each share. Other resources
-# have a fixed capacity.
-_SETTINGS = {
-    ("the queue", "patches"): "PUGEO_QUEUE_PATCHES",
-    ("the queue", "bytes"): "PUGEO_QUEUE_BYTES",
-    ("the queue", "requests"): "PUGEO_QUEUE_REQUESTS",
-    ("the capacity for jobs", "jobs"): "PUGEO_JOBS_QUEUE",
-    ("the capacity for jobs", "bytes"): "PUGEO_JOBS_BYTES",
-}
-
 
 def check_share(
     unit: str,
     resource: str,
+    setting: str | None,
     *,
     held: int,
     held_elsewhere: int,
@@ -42,6 +33,8 @@ def check_share(
     Args:
         unit: counted unit in the plural, such as ``"bytes"``.
         resource: name of the resource, for the error text.
+        setting: name of the setting that raises the capacity, and by that each share; ``None`` if
+            the capacity is fixed.
         held: units that the owner holds.
         held_elsewhere: units that the owner holds through its other requests.
         wanted: further units; 0 is never refused.
@@ -61,7 +54,6 @@ def check_share(
         "Retry-After."
     )
     fields: dict[str, Any] = {"unit": unit, "held": held, "wanted": wanted, "free": free}
-    setting = _SETTINGS.get((resource, unit))
     if setting is None:
         detail = f"{detail} {NO_SETTING}"
     else:

@@ -117,7 +117,7 @@ class ServerProtocol(ConnectionLimit):
 
 
 def _is_written(cycle: RequestResponseCycle) -> bool:
-    """Whether as many bytes were written as the response's Content-Length says."""
+    """Return whether all bytes of the body were written, by the response's Content-Length."""
     sized = cycle.response_started and cycle.chunked_encoding is False
     return sized and cycle.expected_content_length == 0
 

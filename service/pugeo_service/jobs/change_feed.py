@@ -145,6 +145,7 @@ class ChangeFeed:
             check_share(
                 "streams",
                 "the event streams",
+                None,
                 held=self._by_owner[owner],
                 held_elsewhere=self._by_owner[owner],
                 wanted=1,

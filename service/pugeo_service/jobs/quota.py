@@ -9,6 +9,7 @@ from pugeo_service.problems import ProblemError
 
 __all__ = ["Quota"]
 
+_JOBS, _BYTES = "PUGEO_JOBS_QUEUE", "PUGEO_JOBS_BYTES"
 # The time of queued jobs is unknown, so this is a fixed estimate.
 _RETRY_S = 30.0
 
@@ -45,13 +46,14 @@ class Quota:
             raise self._full(total)
         if not owner:
             return
-        for unit, held, wanted, free in (
-            ("jobs", owned.active, 1, self.jobs - total.active),
-            ("bytes", owned.bytes, size, self.bytes - total.bytes),
+        for unit, setting, held, wanted, free in (
+            ("jobs", _JOBS, owned.active, 1, self.jobs - total.active),
+            ("bytes", _BYTES, owned.bytes, size, self.bytes - total.bytes),
         ):
             check_share(
                 unit,
                 "the capacity for jobs",
+                setting,
                 held=held,
                 held_elsewhere=held,
                 wanted=wanted,
@@ -60,11 +62,13 @@ class Quota:
             )
 
     def _full(self, total: JobUsage) -> ProblemError:
+        setting = _JOBS if total.active >= self.jobs else _BYTES
         detail = (
-            "The capacity for jobs (PUGEO_JOBS_QUEUE, PUGEO_JOBS_BYTES) is exhausted; try again "
-            "after the time in Retry-After."
+            f"The capacity for jobs ({setting}) is exhausted; try again after the time in "
+            "Retry-After."
         )
         fields = {
+            "setting": setting,
             "active_jobs": total.active,
             "capacity_jobs": self.jobs,
             "bytes": total.bytes,
@@ -74,7 +78,6 @@ class Quota:
 
 
 def _too_large(size: int, limit: int) -> ProblemError:
-    setting = "PUGEO_JOBS_BYTES"
-    detail = f"The input has {size:,} bytes; all jobs together may have {limit:,} ({setting})."
-    fields = {"limit": limit, "value": size, "setting": setting}
+    detail = f"The input has {size:,} bytes; all jobs together may have {limit:,} ({_BYTES})."
+    fields = {"limit": limit, "value": size, "setting": _BYTES}
     return ProblemError(413, "body_too_large", detail, fields=fields)

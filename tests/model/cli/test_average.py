@@ -73,8 +73,8 @@ def test_the_ends(pugeo: Run, tuned: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("fast", "fast", "--share", "1.5"), "give 0 to 1"),
-        (("fast", "fast", "--share", "nan"), "give 0 to 1"),
+        (("fast", "fast", "--share", "1.5"), "share must be a number from 0 to 1"),
+        (("fast", "fast", "--share", "nan"), "share must be a number from 0 to 1"),
         (("standard", "fast"), "only weights of one network"),
         (("fast", "none"), "no weights 'none'"),
     ],

@@ -260,7 +260,7 @@ def test_junk(junk: bytes, start: bytes) -> None:
 
 
 def test_notes_are_bounded() -> None:
-    """A file with hundreds of columns without a name gives some notes, not one for each."""
+    """A file with hundreds of columns without a name gives short notes."""
     row = " ".join(["1.5"] * 200)
     notes = read(io.BytesIO(f"{row}\n{row}\n{row}\n".encode()), format="xyz").notes
     assert len(notes) <= 51
