@@ -24,6 +24,7 @@ from pugeo_model.tiles import plan_tiles
 from pugeo_model.upsampler import Upsampler
 
 SIZE = 1200
+SEAM = 0.1  # three and a half spacings of the dense balls
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +91,26 @@ def test_small_clouds_stay_whole(ball):
     assert measured == [None, None]
 
 
+def at_seams(points, tile):
+    """Points within some spacings of a point of another tile."""
+    near = np.empty(len(points))
+    for number in np.unique(tile):
+        own = tile == number
+        near[own] = cKDTree(points[~own]).query(points[own])[0]
+    return points[near < SEAM]
+
+
+def closest_pairs(whole, tiled, seams):
+    """Distances to the nearest point, sorted, of the points of both clouds at the seams.
+
+    Inside a tile, chance may bring a pair closer, as in one piece.
+    """
+    tree = cKDTree(seams)
+    for points in (whole, tiled):
+        here = tree.query(points)[0] < SEAM / 4
+        yield np.sort(cKDTree(points).query(points[here], k=[2])[0].ravel())
+
+
 @pytest.mark.slow
 def test_no_seam_shows(upsampler):
     """Tiles are as even as one piece, without coincident points, with all normals outward."""
@@ -97,20 +118,20 @@ def test_no_seam_shows(upsampler):
     for seed in range(3):
         ball = Cloud(even_ball(seed))
         whole = dense(upsampler, ball, Options(4.0)).cloud
-        tiled = dense(upsampler, ball, Options(4.0), SIZE).cloud
+        plan = make_plan(ball, Options(4.0), SIZE)
+        tiled = upsampler.upsample(plan).cloud
         assert len(tiled) == 16_000
         assert evenness(tiled.points) < 1.03 * evenness(whole.points)
-        once, tiles = (
-            np.sort(np.ravel(cKDTree(c.points).query(c.points, k=[2])[0])) for c in (whole, tiled)
-        )
+        tile = np.repeat(np.arange(len(plan.tile_specs)), [spec.n_out for spec in plan.tile_specs])
+        once, tiles = closest_pairs(whole.points, tiled.points, at_seams(tiled.points, tile))
         # Without the separation at the seams, 2 to 14 points of such a ball are as close to
         # another one as 0.13 of the smallest distance here.
-        assert (tiles[:100] > 0.7 * once[:100]).all()
+        assert (tiles[:100] > 0.9 * once[:100]).all()
         ratios.append(tiles[:100] / once[:100])
         assert np.einsum("ij,ij->i", tiled.normals, tiled.points).min() > 0.9
         assert np.abs(np.linalg.norm(tiled.points, axis=1) - 1).max() < 5e-3
     # Rounding, which differs between processors, decides on the pairs of one ball, not on the mean.
-    assert (np.mean(ratios, axis=0) > 0.85).all()
+    assert (np.mean(ratios, axis=0) > 0.95).all()
 
 
 @pytest.mark.slow
