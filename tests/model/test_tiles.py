@@ -108,7 +108,7 @@ def closest_pairs(whole, tiled, seams):
     tree = cKDTree(seams)
     for points in (whole, tiled):
         here = tree.query(points)[0] < SEAM / 4
-        yield np.sort(cKDTree(points).query(points[here], k=[2])[0].ravel())
+        yield np.sort(np.ravel(cKDTree(points).query(points[here], k=[2])[0]))
 
 
 @pytest.mark.slow

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of triangle meshes."""
 
-import os
-import secrets
+import shutil
+import tempfile
 from pathlib import Path
 
 import igl
 import numpy as np
 from numpy.typing import NDArray
+
+from pugeo_model.formats.stream import replacing
 
 __all__ = ["mesh_files", "read_mesh", "unit_size", "write_mesh"]
 
@@ -45,13 +47,12 @@ def write_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64], path: Pa
     Raises:
         OSError: the file cannot be written.
     """
-    # The library tells the format by the suffix, and reports no error.
-    part = path.with_name(f".{secrets.token_hex(6)}.part.ply")
-    try:
-        part.touch()
-        igl.write_triangle_mesh(str(part), vertices, faces, igl.FileEncoding.Binary)
-        if part.stat().st_size == 0:
+    with replacing(path) as file, tempfile.TemporaryDirectory() as folder:
+        # The library tells the format by the suffix, and reports no error.
+        made = Path(folder) / "mesh.ply"
+        made.touch()
+        igl.write_triangle_mesh(str(made), vertices, faces, igl.FileEncoding.Binary)
+        if made.stat().st_size == 0:
             raise OSError(f"{path} cannot be written")
-        os.replace(part, path)  # noqa: PTH105 - Path.rename does not replace on Windows
-    finally:
-        part.unlink(missing_ok=True)
+        with made.open("rb") as mesh:
+            shutil.copyfileobj(mesh, file)

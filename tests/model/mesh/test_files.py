@@ -25,6 +25,20 @@ def test_round_trip(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_descriptor_is_written_and_not_replaced(tmp_path: Path) -> None:
+    """A file that others append to (``>> log``) gets the mesh at its end."""
+    log = tmp_path / "log"
+    log.write_bytes(b"old")
+    inode = log.stat().st_ino
+    with log.open("ab") as opened:
+        if not Path(f"/dev/fd/{opened.fileno()}").exists():
+            pytest.skip("needs /dev/fd")
+        write_mesh(VERTICES, FACES, Path(f"/dev/fd/{opened.fileno()}"))
+    assert log.read_bytes().startswith(b"oldply")
+    assert log.stat().st_ino == inode
+    assert list(tmp_path.iterdir()) == [log]
+
+
 def test_no_folder(tmp_path: Path) -> None:
     """A folder that is missing is an error of the system."""
     with pytest.raises(FileNotFoundError):

@@ -226,25 +226,37 @@ def test_a_removed_database_file_is_written_again(open_house: Any) -> None:
     asyncio.run(whole())
 
 
+def start_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the clock of the process, which would remember the jumps of a test."""
+    steady = SteadyClock()
+    monkeypatch.setattr("pugeo_service.jobs.clock.now", steady.now)
+    monkeypatch.setattr("pugeo_service.jobs.clock.deletion_time", steady.deletion_time)
+
+
+def count_passes(house: Any) -> list[None]:
+    """Return a list that grows by one with each look for expired results."""
+    passes: list[None] = []
+    expire = house.jobs._maintenance._expire
+
+    async def counted() -> None:
+        await expire()
+        passes.append(None)
+
+    house.jobs._maintenance._expire = counted
+    return passes
+
+
 def test_a_clock_that_jumps_deletes_nothing(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the clock is two days ahead, or behind, results are kept and new ones last."""
     real = time.time
     ahead = [0.0]
     monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
-    # That of the process would remember the jumps.
-    monkeypatch.setattr("pugeo_service.jobs.clock.now", SteadyClock().now)
+    start_clock(monkeypatch)
 
     async def scenario(house: Any) -> None:
         first = await house.submit()
         await house.until(first["id"], "succeeded")
-        passes: list[None] = []
-        expire = house.jobs._maintenance._expire
-
-        async def counted() -> None:
-            await expire()
-            passes.append(None)
-
-        house.jobs._maintenance._expire = counted
+        passes = count_passes(house)
         for jump in (2 * 86_400.0, -2 * 86_400.0, 0.0):
             ahead[0] = jump
             passes.clear()
@@ -266,35 +278,23 @@ def test_a_start_with_a_wrong_clock_deletes_nothing(
     ahead = [0.0]
     monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
 
-    def restarted() -> None:
-        steady = SteadyClock()
-        monkeypatch.setattr("pugeo_service.jobs.clock.now", steady.now)
-        monkeypatch.setattr("pugeo_service.jobs.clock.deletion_time", steady.deletion_time)
-
     async def run() -> None:
-        restarted()
+        start_clock(monkeypatch)
         async with open_house() as house:
             job = await house.submit()
             await house.until(job["id"], "succeeded")
         ahead[0] = 2 * 86_400.0
-        restarted()
+        start_clock(monkeypatch)
         monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 1e9)
         async with open_house() as house:
-            passes: list[None] = []
-            expire = house.jobs._maintenance._expire
-
-            async def counted() -> None:
-                await expire()
-                passes.append(None)
-
-            house.jobs._maintenance._expire = counted
+            passes = count_passes(house)
             await house.eventually(lambda: len(passes) >= 3)
             ahead[0] = 0.0
             await house.eventually(lambda: len(passes) >= 6)
             result = await house.http.get(f"/jobs/{job['id']}/result")
             assert result.status_code == 200
         ahead[0] = 2 * 86_400.0
-        restarted()
+        start_clock(monkeypatch)
         monkeypatch.setattr("pugeo_service.jobs.clock._SETTLE_S", 0.0)
         async with open_house() as house:
             await house.until(job["id"], "expired")
