@@ -137,12 +137,13 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    for module in (upsample, preview, job_routes, model_routes):
-        app.include_router(module.router, dependencies=[Depends(check_query)])
-    for other in (health, docs, page):
-        app.include_router(other.router)
+    strict = [upsample, preview, job_routes, model_routes, health]
     if service.settings.metrics_port is None:
-        app.include_router(metrics.router)
+        strict.append(metrics)
+    for module in strict:
+        app.include_router(module.router, dependencies=[Depends(check_query)])
+    for other in (docs, page):
+        app.include_router(other.router)
     openapi.install(app)
     return app
 

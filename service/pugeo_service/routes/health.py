@@ -3,17 +3,16 @@
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from pugeo_service import __version__
 from pugeo_service.container import ServiceDep
-from pugeo_service.http.query_names import check_query
 from pugeo_service.problems import ProblemError, problem_responses
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["health"], dependencies=[Depends(check_query)])
+router = APIRouter(tags=["health"])
 _WHY = {
     "draining": "The service is shutting down.",
     "no_worker": "No worker is ready yet.",

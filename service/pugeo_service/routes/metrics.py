@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """``GET /metrics`` for Prometheus."""
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from starlette.responses import Response
 
 from pugeo_service.container import ServiceDep
-from pugeo_service.http.query_names import check_query
 from pugeo_service.problems import problem_responses
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["health"], dependencies=[Depends(check_query)])
+router = APIRouter(tags=["health"])
 
 
 @router.get(
