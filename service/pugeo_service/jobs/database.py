@@ -6,9 +6,9 @@ import functools
 import json
 import sqlite3
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -57,7 +57,8 @@ class Database:
         self._file = Path(name) if name else None
         self._inode: tuple[int, int] | None = None
         self._engine: Engine | None = None
-        self._opening = threading.Lock()
+        self._idle = threading.Condition()
+        self._running = 0  # transactions, each in a thread
         self._threads = ThreadPoolExecutor(_THREADS, "pugeo-jobs")
 
     async def read(self, work: Work[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -119,12 +120,20 @@ class Database:
             return self._transact(writes, work)
 
     def _transact(self, writes: bool, work: Callable[[Connection], T]) -> T:
-        with self._opened().execution_options(pugeo_writes=writes).begin() as connection:
+        with (
+            self._opened() as engine,
+            engine.execution_options(pugeo_writes=writes).begin() as connection,
+        ):
             return work(connection)
 
-    def _opened(self) -> Engine:
+    @contextmanager
+    def _opened(self) -> Iterator[Engine]:
         """Connect at the first use, and at later ones as long as it fails."""
-        with self._opening:
+        with self._idle:
+            # A transaction on a removed file would not be part of the copy, and its connection
+            # would delete the write-ahead log of the new file when it closes.
+            while self._running and self._engine is not None and self._inode != _inode(self._file):
+                self._idle.wait()
             if self._engine is not None and self._file is not None:
                 self._restore_if_removed(self._engine, self._file)
             if self._engine is None:
@@ -137,7 +146,14 @@ class Database:
                     raise
                 self._engine = engine
                 self._inode = _inode(self._file)
-            return self._engine
+            engine = self._engine
+            self._running += 1
+        try:
+            yield engine
+        finally:
+            with self._idle:
+                self._running -= 1
+                self._idle.notify_all()
 
     def _restore_if_removed(self, engine: Engine, path: Path) -> None:
         """Write a SQLite file that was removed or replaced once more, and connect to it anew.

@@ -7,14 +7,17 @@ import os
 import sqlite3
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import Connection
 
 from pugeo_service.jobs.clock import SteadyClock
+from pugeo_service.jobs.database import Database
 from pugeo_service.storage.reserve import Reserve
 
 
@@ -224,6 +227,45 @@ def test_a_removed_database_file_is_written_again(open_house: Any) -> None:
         return ids
 
     asyncio.run(whole())
+
+
+def test_a_file_that_is_removed_amid_a_transaction(tmp_path: Path) -> None:
+    """The transaction that runs is part of the new file, and so is one that comes meanwhile."""
+    path = tmp_path / "jobs.sqlite3"
+    begun, gate = threading.Event(), threading.Event()
+
+    def add(connection: Connection, number: int) -> None:
+        if number == 2:
+            begun.set()
+            assert gate.wait(60)
+        connection.exec_driver_sql("CREATE TABLE IF NOT EXISTS added (number INTEGER)")
+        connection.exec_driver_sql("INSERT INTO added VALUES (?)", (number,))
+
+    def added(connection: Connection) -> list[int]:
+        rows = connection.exec_driver_sql("SELECT number FROM added ORDER BY number")
+        return [number for (number,) in rows]
+
+    async def run() -> None:
+        database = Database(f"sqlite:///{path}")
+        await database.write(add, 1)
+        held = asyncio.create_task(database.write(add, 2))
+        await asyncio.to_thread(begun.wait, 60)
+        path.unlink()
+        later = asyncio.create_task(database.write(add, 3))
+        # If the file is written again too early, it is within this time.
+        for _ in range(50):
+            if path.exists():
+                break
+            await asyncio.sleep(0.01)
+        gate.set()
+        await asyncio.gather(held, later)
+        assert await database.read(added) == [1, 2, 3]
+        database.close()
+        database = Database(f"sqlite:///{path}")
+        assert await database.read(added) == [1, 2, 3]
+        database.close()
+
+    asyncio.run(run())
 
 
 def start_clock(monkeypatch: pytest.MonkeyPatch) -> None:
