@@ -20,6 +20,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.case import Work
 from pugeo_model import Cloud
 from pugeo_model.geometry.patches import Patch
+from pugeo_model.local_stages import Network
 from pugeo_model.network.model import Model
 from pugeo_model.network.neighbourhoods import MessageRound, Neighbourhoods, stack_patches
 from pugeo_model.network.precision import bfloat16_pays
@@ -68,19 +69,21 @@ class _Traffic(TorchDispatchMode):
         return result
 
 
-def work(model: Model, cloud: Cloud, ratio: float) -> Work:
+def work(model: Network, cloud: Cloud, ratio: float) -> Work:
     """Count what the network does for a cloud, on average over its charts.
 
     Args:
-        model: the network.
+        model: a network that predicts charts.
         cloud: the input.
         ratio: output points an input point; decides how many candidates a chart proposes.
     """
+    assert isinstance(model, Model)
     plan = make_plan(cloud, Options(ratio))
     charts, flops, traffic = 0, 0, _Traffic()
     for tile in plan.tiles:
         prepared = prepare(tile)
         for patch in prepared.patches:
+            assert isinstance(patch, Patch)
             charts += patch.core
             run = _forward(model, patch, prepared.tile.candidates)
             # One after the other: the first takes operations apart that the second shall see whole.

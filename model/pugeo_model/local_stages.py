@@ -1,22 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages of a tile, run in this process."""
+"""Stages of a tile, run in this process, and the networks that they call."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Protocol, TypeVar
 
 from pugeo_model.denoise import denoised_tile, needs_denoising
 from pugeo_model.finish import UpsampledTile, finish
+from pugeo_model.geometry.overlapping import PointPatch
+from pugeo_model.geometry.patches import Patch
 from pugeo_model.prepare import PreparedTile, prepare
 from pugeo_model.queries import input_queries, propose, select_survivors
-from pugeo_model.resample.atlas import Atlas, PatchCharts, Projected
+from pugeo_model.resample.atlas import Atlas, PatchCharts, Projected, ProjectionQuery
 from pugeo_model.resample.overlap import PatchPoints, merge_overlapping
 from pugeo_model.stage_times import StageTimes
 from pugeo_model.tiles import Tile
 
-if TYPE_CHECKING:
-    from pugeo_model.network.model import Model
+__all__ = [
+    "ChartNetwork", "LocalStages", "Network", "PatchNetwork", "Predicted", "denoise", "densify",
+    "predict",
+]  # fmt: skip
 
-__all__ = ["LocalStages", "denoise", "densify"]
+KindT = TypeVar("KindT")
+
+
+class ChartNetwork(Protocol):
+    """A network that predicts a chart for each point, and projects points onto charts."""
+
+    patch_ratio: None
+
+    def charts(self, patch: Patch, count: int) -> PatchCharts:
+        """Predict the charts of the core of a patch, each with ``count`` candidates."""
+
+    def project(self, query: ProjectionQuery) -> Projected:
+        """Project each query point onto the blend of its charts."""
+
+
+class PatchNetwork(Protocol):
+    """A network that upsamples whole patches.
+
+    Attributes:
+        patch_ratio: samples that it makes of each point.
+    """
+
+    patch_ratio: int
+
+    def charts(self, patch: PointPatch, count: int) -> PatchPoints:
+        """Sample a patch; ``count`` has no say."""
+
+
+Network = ChartNetwork | PatchNetwork
+"""Either kind; ``patch_ratio`` tells them apart."""
+
+Predicted = PatchCharts | PatchPoints
+"""What a network of either kind makes of a patch."""
+
+
+def predict(network: Network, patch: Patch | PointPatch, candidates: int) -> Predicted:
+    """Run a patch, of the kind that the network takes, through the network."""
+    if network.patch_ratio is None:
+        assert isinstance(patch, Patch)
+        return network.charts(patch, candidates)
+    assert isinstance(patch, PointPatch)
+    return network.charts(patch, candidates)
 
 
 def merge_patches(prepared: PreparedTile, patches: Sequence[PatchPoints]) -> Projected:
@@ -27,28 +72,39 @@ def merge_patches(prepared: PreparedTile, patches: Sequence[PatchPoints]) -> Pro
     )
 
 
-def denoise(model: "Model", prepared: PreparedTile, charts: Sequence[PatchCharts]) -> Tile | None:
+def denoise(network: Network, prepared: PreparedTile, charts: Sequence[Predicted]) -> Tile | None:
     """Move the points of a noisy tile onto their charts; ``None`` if they hardly move."""
-    atlas = Atlas.of(prepared.points, prepared.frames, charts)
-    return denoised_tile(prepared, model.project(input_queries(prepared, atlas)))
+    assert network.patch_ratio is None, "see needs_denoising"
+    atlas = Atlas.of(prepared.points, prepared.frames, _all_of(PatchCharts, charts))
+    return denoised_tile(prepared, network.project(input_queries(prepared, atlas)))
 
 
 def densify(
-    model: Any, prepared: PreparedTile, charts: Sequence[Any], times: StageTimes
+    network: Network, prepared: PreparedTile, charts: Sequence[Predicted], times: StageTimes
 ) -> UpsampledTile:
     """Compute the dense points of a tile from its charts.
 
     Args:
-        model: projects points onto charts with its heads.
+        network: projects points onto charts with its heads, if it predicts charts.
         prepared: the tile.
         charts: charts or points of all its patches, in any order.
         times: receives the seconds of ``project``, ``merge`` and ``finish``.
     """
-    if prepared.tile.patch_ratio is not None:
-        with times.measure("merge"):
-            merged = merge_patches(prepared, charts)
-        with times.measure("finish"):
-            return finish(prepared, merged)
+    if network.patch_ratio is None:
+        return _densify_charts(network, prepared, _all_of(PatchCharts, charts), times)
+    with times.measure("merge"):
+        merged = merge_patches(prepared, _all_of(PatchPoints, charts))
+    with times.measure("finish"):
+        return finish(prepared, merged)
+
+
+def _densify_charts(
+    network: ChartNetwork,
+    prepared: PreparedTile,
+    charts: Sequence[PatchCharts],
+    times: StageTimes,
+) -> UpsampledTile:
+    """Propose candidates, project them, select among them, project again, finish."""
     with times.measure("merge"):
         atlas = Atlas.of(prepared.points, prepared.frames, charts)
         # Candidates on the tangent planes (eq. 4), 1.5 times as many as output points.
@@ -56,22 +112,29 @@ def densify(
     with times.measure("project"):
         # Displacement onto the blended charts (eq. 6, 7) before the selection, so that outliers
         # are moved first; the charts also predict their error.
-        candidates = model.project(query)
+        candidates = network.project(query)
     with times.measure("merge"):
         # Sample elimination keeps the requested number, repulsion makes their spacing even.
         query = select_survivors(prepared, atlas, candidates)
         del candidates  # these arrays are the largest
     with times.measure("project"):
-        survivors = model.project(query)
+        survivors = network.project(query)
     with times.measure("finish"):
         return finish(prepared, survivors)
+
+
+def _all_of(kind: type[KindT], values: Sequence[object]) -> list[KindT]:
+    """Return values that are all of one kind, as such."""
+    chosen = [value for value in values if isinstance(value, kind)]
+    assert len(chosen) == len(values), "made by a network of the other kind"
+    return chosen
 
 
 class LocalStages:
     """The stages of `upsample_tile`, run in this process.
 
     Args:
-        model: the network.
+        network: the network.
         progress: called with the name of the current stage and the completed fraction of it,
             0..1: at the begin of each stage and before each patch of the network.
 
@@ -80,8 +143,8 @@ class LocalStages:
         batches: seconds and number of patches of each ``predict``.
     """
 
-    def __init__(self, model: Any, progress: Callable[[str, float], object]) -> None:
-        self._model = model
+    def __init__(self, network: Network, progress: Callable[[str, float], object]) -> None:
+        self._network = network
         self._progress = progress
         self.times = StageTimes(on_begin=lambda stage: progress(stage, 0.0))
         self.batches: list[tuple[float, int]] = []
@@ -91,14 +154,14 @@ class LocalStages:
         with self.times.measure("prepare"):
             return prepare(tile)
 
-    async def predict(self, prepared: PreparedTile) -> list[Any]:
+    async def predict(self, prepared: PreparedTile) -> list[Predicted]:
         """Run patches through the network one at a time, so that no result depends on batching."""
-        charts: list[Any] = []
+        charts: list[Predicted] = []
         before = self.times.seconds.get("predict", 0.0)
         with self.times.measure("predict"):
             for patch in prepared.patches:
                 self._progress("predict", len(charts) / len(prepared.patches))
-                charts.append(self._model.charts(patch, prepared.candidates))
+                charts.append(predict(self._network, patch, prepared.candidates))
         self.batches.append((self.times.seconds["predict"] - before, len(charts)))
         return charts
 
@@ -106,11 +169,11 @@ class LocalStages:
         """Return whether the points are noisy and were not moved yet."""
         return needs_denoising(prepared)
 
-    async def denoise(self, prepared: PreparedTile, charts: list[PatchCharts]) -> Tile | None:
+    async def denoise(self, prepared: PreparedTile, charts: list[Predicted]) -> Tile | None:
         """Move the points onto their charts; ``None`` if they hardly move."""
         with self.times.measure("prepare"):
-            return denoise(self._model, prepared, charts)
+            return denoise(self._network, prepared, charts)
 
-    async def densify(self, prepared: PreparedTile, charts: list[PatchCharts]) -> UpsampledTile:
+    async def densify(self, prepared: PreparedTile, charts: list[Predicted]) -> UpsampledTile:
         """Compute the dense points."""
-        return densify(self._model, prepared, charts, self.times)
+        return densify(self._network, prepared, charts, self.times)

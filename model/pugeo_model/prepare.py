@@ -3,7 +3,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,9 @@ from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.areas import areas_of_quotas, surface_areas
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
-from pugeo_model.geometry.overlapping import overlapping_patches
+from pugeo_model.geometry.overlapping import PointPatch, overlapping_patches
 from pugeo_model.geometry.partition import PATCH_SIZE, partition
-from pugeo_model.geometry.patches import extract_patch
+from pugeo_model.geometry.patches import Patch, extract_patch
 from pugeo_model.resample.bounds import bounded_spacing
 from pugeo_model.resample.elimination import chart_radii
 from pugeo_model.resample.quotas import area_quotas, candidates_per_chart, count_quotas
@@ -43,7 +42,8 @@ class PreparedTile:
         area: ``(M,)`` float64, surface area of each point, unit scale squared.
         quotas: ``(M,)`` float64, relative numbers of output points; ``None`` if all are equal.
         candidates: candidates per chart.
-        patches: inputs of the network; their cores partition the points that get charts.
+        patches: inputs of the network, of the kind that it takes. Cores of a :class:`Patch`
+            partition the points that get charts.
         noise: of the original input, in spacings, see `noise_level`.
     """
 
@@ -57,7 +57,7 @@ class PreparedTile:
     area: NDArray[np.float64]
     quotas: NDArray[np.float64] | None
     candidates: int
-    patches: list[Any]
+    patches: list[Patch] | list[PointPatch]
     noise: float
 
     @property
@@ -95,7 +95,7 @@ def prepare(tile: Tile) -> PreparedTile:
     distances, neighbours = nearest(points)
     frames = fit_frames(points, neighbours, spacing(distances), tile.noise)
     ends = np.cumsum([0] + [len(core) for core in cores])
-    patches: list[Any]
+    patches: list[Patch] | list[PointPatch]
     if tile.patch_ratio is None:
         patches = [
             extract_patch(np.arange(start, stop, dtype=np.int32), points, neighbours, frames)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pugeo_model.assembly import Result, assemble
 from pugeo_model.cloud import Cloud
 from pugeo_model.formats.meaning import from_array
-from pugeo_model.local_stages import LocalStages
+from pugeo_model.local_stages import LocalStages, Network
 from pugeo_model.malloc import give_back_freed_memory
 from pugeo_model.options import Options, Position
 from pugeo_model.pipeline import run_here, upsample_tile
@@ -33,7 +33,7 @@ class Upsampler:
     def __init__(self, weights: str | Path = "standard") -> None:
         from pugeo_model.weights import load
 
-        self.model: Any = load(weights)
+        self.model: Network = load(weights)
 
     def __call__(
         self,

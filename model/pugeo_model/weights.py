@@ -5,9 +5,13 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pugeo_model.errors import BadOptionError
+
+if TYPE_CHECKING:
+    from pugeo_model.network.model import Model
+    from pugeo_model.network.patch_model import PatchModel
 
 __all__ = [
     "Weights", "available", "build", "load", "load_or_explain", "locate", "read", "read_card",
@@ -93,12 +97,12 @@ def read_card(name_or_path: str | Path = "standard") -> dict[str, Any]:
     return read(name_or_path).card
 
 
-def load(name_or_path: str | Path = "standard") -> Any:
+def load(name_or_path: str | Path = "standard") -> "Model | PatchModel":
     """Build the network that a card describes and load its weights; see `read` and `build`."""
     return build(read(name_or_path), name_or_path)
 
 
-def build(weights: Weights, name: str | Path) -> Any:
+def build(weights: Weights, name: str | Path) -> "Model | PatchModel":
     """Build the network that a card describes, with its weights.
 
     Args:

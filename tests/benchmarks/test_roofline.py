@@ -14,6 +14,7 @@ from benchmarks.roofline import _Traffic, work
 
 from pugeo_model import Cloud
 from pugeo_model.geometry.patches import EDGE, MESSAGES, POSE, SCALARS
+from pugeo_model.network.model import Model
 from pugeo_model.network.precision import bfloat16_pays
 from pugeo_model.upsampler import Upsampler
 
@@ -26,6 +27,7 @@ def test_products_of_a_chart(sphere: NDArray[np.float32]) -> None:
     Filled up it has 640 rows; counting those would give 7 % more.
     """
     model = Upsampler().model
+    assert isinstance(model, Model)
     architecture = model.net.architecture
     options = dict(architecture.options)
     f, w, e = architecture.features, options["width"], options["edge_width"]

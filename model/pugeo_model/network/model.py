@@ -37,7 +37,7 @@ class Model:
         self.net = net.eval()
         freeze(self.net)
         self.card = card
-        self.patch_ratio: int | None = None
+        self.patch_ratio: None = None
         self._projector = Projector(self.net.surface)
 
     @torch.inference_mode()

@@ -9,12 +9,13 @@ than the front says.
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pugeo_service.engine.errors import WrongWeightsError
 from pugeo_service.engine.messages import ModelId
 
 if TYPE_CHECKING:
+    from pugeo_model.local_stages import Network
     from pugeo_model.weights import Weights
 
 __all__ = ["install", "load_model", "remove"]
@@ -41,7 +42,7 @@ def remove(sha256: str) -> None:
 
 
 @functools.lru_cache(maxsize=_KEPT)
-def load_model(model: ModelId) -> Any:
+def load_model(model: ModelId) -> Network:
     """Return the network of a model, built once.
 
     Raises:

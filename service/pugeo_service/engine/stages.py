@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pugeo_model.local_stages import Predicted
     from pugeo_model.plan import Plan
-    from pugeo_model.resample.atlas import PatchCharts
     from pugeo_model.tiles import Tile
     from pugeo_service.storage.shared_file import SharedFile
 
@@ -153,9 +153,11 @@ def take_patches(prepared: Prepared, start: int, stop: int) -> PatchBatch:
 
 def predict(batch: PatchBatch, model: ModelId) -> PredictedBatch:
     """Run patches through the network."""
+    from pugeo_model.local_stages import predict as predict_patch
+
     start = time.perf_counter()
     network = load_model(model)
-    charts = [network.charts(patch, batch.candidates) for patch in batch.patches]
+    charts = [predict_patch(network, patch, batch.candidates) for patch in batch.patches]
     return PredictedBatch(charts, time.perf_counter() - start)
 
 
@@ -221,5 +223,5 @@ def describe_dense(dense: DenseTile) -> DenseInfo:
     return DenseInfo(dense.seconds, dense.batches)
 
 
-def _charts(batches: Sequence[PredictedBatch]) -> list[PatchCharts]:
+def _charts(batches: Sequence[PredictedBatch]) -> list[Predicted]:
     return [charts for batch in batches for charts in batch.charts]

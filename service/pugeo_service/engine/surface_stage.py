@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 from pugeo_service.engine.values import Output, Prepared
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from pugeo_model.cloud import Cloud
+    from pugeo_model.local_stages import Network
     from pugeo_model.stage_times import StageTimes
 
 __all__ = ["make_surface"]
 
 
-def make_surface(cloud: Cloud, most: int, model: Any, times: StageTimes) -> Prepared:
+def make_surface(cloud: Cloud, most: int, model: Network, times: StageTimes) -> Prepared:
     """Reconstruct the surface of a cloud.
 
     The number of points bounds time and memory, so a larger cloud is thinned at random, the same

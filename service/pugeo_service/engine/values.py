@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
     from pugeo_model.assembly import Agreement
     from pugeo_model.finish import UpsampledTile
+    from pugeo_model.geometry.overlapping import PointPatch
     from pugeo_model.geometry.patches import Patch
+    from pugeo_model.local_stages import Predicted
     from pugeo_model.plan import Plan
     from pugeo_model.prepare import PreparedTile
-    from pugeo_model.resample.atlas import PatchCharts
 
 __all__ = [
     "Batches",
@@ -72,7 +73,7 @@ class Prepared:
 class PatchBatch:
     """Some patches of a tile, and the candidates wanted from each chart."""
 
-    patches: list[Patch]
+    patches: list[Patch] | list[PointPatch]
     candidates: int
 
 
@@ -80,7 +81,7 @@ class PatchBatch:
 class PredictedBatch:
     """Charts of some patches, and the seconds that the network took for them."""
 
-    charts: list[PatchCharts]
+    charts: list[Predicted]
     seconds: float
 
 
