@@ -45,6 +45,14 @@ class Server:
         children = psutil.Process(self.process.pid).children()
         return [child for child in children if "spawn_main" in " ".join(_command(child))]
 
+    def wait_until_started(self, seconds: float = 60.0) -> None:
+        """Wait until a worker process exists; it then imports for seconds."""
+        end = time.monotonic() + seconds
+        while not self.workers():
+            assert self.process.poll() is None, self.log.read_text()[-4000:]
+            assert time.monotonic() < end, "no worker process"
+            time.sleep(0.02)
+
     def wait_until_ready(self, seconds: float = _READY_S) -> None:
         """Wait until /health/ready answers 200."""
         end = time.monotonic() + seconds

@@ -164,7 +164,7 @@ def test_workers_that_cannot_start(launch: Any) -> None:
 def test_ctrl_c_before_ready(launch: Any) -> None:
     """An interrupt of the whole process group ends a service that starts, without a traceback."""
     with launch("--workers", "1") as server:
-        time.sleep(1.5)  # while the worker imports
+        server.wait_until_started()
         os.killpg(server.process.pid, signal.SIGINT)
         assert server.process.wait(100) == 0
         assert "Traceback" not in server.log.read_text()

@@ -3,6 +3,9 @@
 
 import asyncio
 import hashlib
+import time
+from collections import defaultdict
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ from sqlalchemy import create_engine, text
 from tests.service.jobs.conftest import House, Open
 
 from pugeo_service.jobs import runner_beats, stored_files
+from pugeo_service.jobs.runner_beats import RunnerBeats
 from pugeo_service.storage.object_store import ObjectStore, StoreError
 
 RESULT = b"dense cloudcloud"
@@ -198,6 +202,15 @@ def test_only_the_dead_are_taken_over(
     url = postgres()
     monkeypatch.setattr(runner_beats, "_BEAT_S", 0.05)
     monkeypatch.setattr(runner_beats, "_DEAD_S", 1.0)
+    looks: dict[Any, list[float]] = defaultdict(lambda: [0.0])
+    look = RunnerBeats.ended
+
+    async def seen(beats: RunnerBeats, names: Collection[str]) -> list[str]:
+        found = await look(beats, names)
+        looks[beats].append(time.monotonic())
+        return found
+
+    monkeypatch.setattr(RunnerBeats, "ended", seen)
 
     async def scenario() -> None:
         one_settings = {**settings("one"), "database_url": url}
@@ -209,7 +222,10 @@ def test_only_the_dead_are_taken_over(
             await one.until(job["id"], "running")
             runner = one if one.engine.running else two
             other = two if runner is one else one
-            await asyncio.sleep(3.0)  # three times the silence of a dead one
+            # The other looks for longer than three times the silence of a dead one.
+            mine = looks[other.jobs._beats]
+            begin = time.monotonic()
+            await other.eventually(lambda: mine[-1] > begin + 3.0 * runner_beats._DEAD_S)
             assert (await one.get(job["id"]))["attempts"] == 1
             engine = create_engine(url.replace("postgresql://", "postgresql+pg8000://"))
             with engine.begin() as connection:
