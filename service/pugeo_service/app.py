@@ -35,7 +35,7 @@ from pugeo_service.routes import jobs as job_routes
 from pugeo_service.routes import models as model_routes
 from pugeo_service.settings import Settings
 
-__all__ = ["create_app", "create_service"]
+__all__ = ["create_app", "create_metrics_app", "create_service"]
 
 _log = structlog.stdlib.get_logger("pugeo.service")
 _RELEASE_MEMORY_S = 10.0
@@ -145,6 +145,21 @@ def create_app(
     for other in (docs, page):
         app.include_router(other.router)
     openapi.install(app)
+    return app
+
+
+def create_metrics_app(service: Service) -> FastAPI:
+    """Make the application of the separate port of metrics: the route alone, with the same rules.
+
+    Args:
+        service: whose metrics it tells.
+    """
+    app = FastAPI(title="pugeo metrics", openapi_url=None, redirect_slashes=False)
+    app.state.service = service
+    problems.install(app)
+    app.add_middleware(AnswerHead)
+    app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
+    app.include_router(metrics.router, dependencies=[Depends(check_query)])
     return app
 
 

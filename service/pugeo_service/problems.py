@@ -200,7 +200,11 @@ def install(app: FastAPI) -> None:
         code = _CODE.get(error.status_code, "http_error")
         detail, headers = error.detail, dict(error.headers or {})
         if error.status_code == 404:
-            detail = f"There is no route {request.url.path}; /openapi.json lists all routes."
+            known = " and ".join(app.openapi()["paths"])
+            others = (
+                f"{app.openapi_url} lists all routes" if app.openapi_url else f"here is {known}"
+            )
+            detail = f"There is no route {request.url.path}; {others}."
         elif error.status_code == 405:
             detail = (
                 f"{request.url.path} does not support {request.method}; see Allow for its methods."

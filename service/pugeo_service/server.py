@@ -14,16 +14,14 @@ from typing import Any
 
 import structlog
 import uvicorn
-from prometheus_client import make_asgi_app
 
 from pugeo_model.errors import BadOptionError
-from pugeo_service.app import create_app
+from pugeo_service.app import create_app, create_metrics_app
 from pugeo_service.container import Service
 from pugeo_service.engine.children import end_at_once
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.models import Models
-from pugeo_service.observability.telemetry import Telemetry
 from pugeo_service.settings import Settings
 from pugeo_service.startup import begin, read_settings
 
@@ -125,7 +123,7 @@ def serve(settings: Settings) -> int:
         app,
         host=settings.host,
         port=settings.port,
-        http=ServerProtocol.limited(_connections(settings)),
+        http=ServerProtocol.limited(_connections(settings), "PUGEO_MAX_CONNECTIONS"),
         ws="none",
         log_config=None,
         access_log=False,
@@ -139,7 +137,7 @@ def serve(settings: Settings) -> int:
             listener = opened.enter_context(_listen(settings.host, port))
             if settings.metrics_port is not None:
                 port = settings.metrics_port
-                opened.enter_context(_metrics(settings.host, port, service.telemetry))
+                opened.enter_context(_metrics(settings.host, port, service))
         except OSError as error:
             _log.error("cannot listen", host=settings.host, port=port, reason=str(error))
             return 1
@@ -162,12 +160,12 @@ def _connections(settings: Settings) -> int:
 
 
 @contextlib.contextmanager
-def _metrics(host: str, port: int, telemetry: Telemetry) -> Iterator[None]:
+def _metrics(host: str, port: int, service: Service) -> Iterator[None]:
     """Serve metrics on a separate port, in a separate thread, with the limits of the service."""
     with _listen(host, port) as listener:
         config = uvicorn.Config(
-            make_asgi_app(telemetry.registry),
-            http=ServerProtocol.limited(_METRICS_CONNECTIONS),
+            create_metrics_app(service),
+            http=ServerProtocol.limited(_METRICS_CONNECTIONS, setting=None),
             ws="none",
             lifespan="off",
             log_config=None,

@@ -139,7 +139,7 @@ class Wire(asyncio.Transport):
         self.closed = True
 
 
-def many_connections() -> ProblemError:
+def many_connections(setting: str | None) -> ProblemError:
     """A connection too many."""
     found: list[ProblemError] = []
 
@@ -147,7 +147,7 @@ def many_connections() -> ProblemError:
         found.append(problem)
         return b""
 
-    protocol = object.__new__(ServerProtocol.limited(0))
+    protocol = object.__new__(ServerProtocol.limited(0, setting))
     protocol.connections = set()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(connection_limit, "encode_response", encode)
@@ -176,7 +176,11 @@ PROBLEMS: list[tuple[str, str | None, Callable[[], ProblemError]]] = [
     ("deadline_unmeetable", "DEADLINE_S", lambda: deadline(5.0, "PUGEO_DEADLINE_S")),
     ("deadline_too_short", "DEADLINE_S", lambda: deadline(1.0, "PUGEO_DEADLINE_S")),
     ("body_timeout", "BODY_IDLE_S", slow_body),
-    ("too_many_connections", "MAX_CONNECTIONS", many_connections),
+    (
+        "too_many_connections", "MAX_CONNECTIONS",
+        lambda: many_connections("PUGEO_MAX_CONNECTIONS"),
+    ),
+    ("too_many_connections", None, lambda: many_connections(None)),
     ("head_too_large", None, lambda: request_limits._too_large("too much")),
 ]  # fmt: skip
 

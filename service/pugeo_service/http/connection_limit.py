@@ -8,11 +8,12 @@ are served, and each failed accept is an error in the log.
 import asyncio
 import resource
 import time
+from typing import Any
 
 import structlog
 
 from pugeo_service.http.request_limits import RequestLimits, encode_response
-from pugeo_service.problems import ProblemError
+from pugeo_service.problems import NO_SETTING, ProblemError
 
 __all__ = ["ConnectionLimit", "usable_descriptors"]
 
@@ -51,12 +52,15 @@ class ConnectionLimit(RequestLimits):
     """HTTP/1.1 for a bounded number of connections; further ones get 503 and are closed."""
 
     max_connections = 1000
+    # The setting of this bound, if there is one.
+    setting: str | None = None
     _refusals = _Refusals()
 
     @classmethod
-    def limited(cls, limit: int) -> type["ConnectionLimit"]:
-        """Return this protocol with another bound."""
-        return type(cls.__name__, (cls,), {"max_connections": limit, "_refusals": _Refusals()})
+    def limited(cls, limit: int, setting: str | None) -> type["ConnectionLimit"]:
+        """Return this protocol with another bound, which refusals name by its setting, if any."""
+        members = {"max_connections": limit, "setting": setting, "_refusals": _Refusals()}
+        return type(cls.__name__, (cls,), members)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin a connection, or refuse it."""
@@ -65,17 +69,21 @@ class ConnectionLimit(RequestLimits):
             return
         self._refusals.add(self.max_connections)
         self.transport = transport
-        setting = "PUGEO_MAX_CONNECTIONS"
-        detail = (
-            f"Too many connections ({setting}, or less if the process may open few files); try "
-            "again after the time in Retry-After."
-        )
-        fields = {"limit": self.max_connections, "setting": setting}
-        problem = ProblemError(503, "too_many_connections", detail, retry_after=5, fields=fields)
-        transport.write(encode_response(problem))
+        transport.write(encode_response(self._refusal_of_one_more()))
         transport.close()
 
     def data_received(self, data: bytes) -> None:
         """Parse bytes, unless the connection was refused."""
         if not self.transport.is_closing():
             super().data_received(data)
+
+    def _refusal_of_one_more(self) -> ProblemError:
+        fields: dict[str, Any] = {"limit": self.max_connections}
+        again = "try again after the time in Retry-After."
+        if self.setting is None:
+            detail = f"Too many connections to this port; {again} {NO_SETTING}"
+        else:
+            fields["setting"] = self.setting
+            bound = f"{self.setting}, or less if the process may open few files"
+            detail = f"Too many connections ({bound}); {again}"
+        return ProblemError(503, "too_many_connections", detail, retry_after=5, fields=fields)

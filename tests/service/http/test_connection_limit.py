@@ -9,17 +9,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 import structlog
 import uvicorn
-from prometheus_client import CollectorRegistry, Gauge
 
 from pugeo_service import server as server_module
+from pugeo_service.app import create_service
 from pugeo_service.http import connection_limit, request_limits
 from pugeo_service.http.connection_limit import usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
+from pugeo_service.models import Models
 from pugeo_service.settings import Settings
 
 GET = b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"
@@ -37,7 +39,7 @@ async def hello(_scope: Any, _receive: Any, send: Any) -> None:
 def address() -> Iterator[tuple[str, int]]:
     """Address of a server for three connections."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        protocol = ServerProtocol.limited(LIMIT)
+        protocol = ServerProtocol.limited(LIMIT, "PUGEO_MAX_CONNECTIONS")
         config = uvicorn.Config(hello, http=protocol, ws="none", lifespan="off", log_config=None)
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
@@ -114,31 +116,32 @@ def test_descriptors_are_raised_as_far_as_allowed(monkeypatch: pytest.MonkeyPatc
     assert given == [(4096, 4096), (65_536, infinite)]
 
 
-def test_connections_to_the_metrics_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_to_the_metrics_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A connection to the port of metrics that sends nothing is closed; others are answered."""
     monkeypatch.setattr(request_limits, "HEAD_TIMEOUT_S", 0.3)
     monkeypatch.setattr(server_module, "_METRICS_CONNECTIONS", 2)
-    registry = CollectorRegistry()
-    Gauge("pugeo_probe", "One.", registry=registry).set(1)
-
-    class Told:
-        def __init__(self) -> None:
-            self.registry = registry
-
-    with structlog.testing.capture_logs() as logs, server_module._metrics("127.0.0.1", 0, Told()):  # type: ignore[arg-type]
+    settings = Settings(engine="inline", spool_dir=tmp_path)
+    service = create_service(settings, Models(settings))
+    with structlog.testing.capture_logs() as logs, server_module._metrics("127.0.0.1", 0, service):
         port = next(entry["port"] for entry in logs if entry["event"] == "metrics")
         with socket.create_connection(("127.0.0.1", port), timeout=30) as idle:
-            assert b"pugeo_probe 1.0" in _scrape(port)
+            assert b'pugeo_workers{state="warm"} 0.0' in _scrape(port)
             assert idle.recv(1) == b""
         with ExitStack() as opened:
             for _ in range(2):
                 opened.enter_context(socket.create_connection(("127.0.0.1", port)))
-            assert b" 503 " in _scrape(port)
+            refused = _scrape(port)
+        assert b" 503 " in refused
+        problem = json.loads(refused.partition(b"\r\n\r\n")[2])
+        # Not the setting of the main port, which has another bound.
+        assert problem["limit"] == 2
+        assert "setting" not in problem
+        assert "PUGEO_MAX_CONNECTIONS" not in problem["detail"]
 
 
 def _scrape(port: int) -> bytes:
     with socket.create_connection(("127.0.0.1", port), timeout=30) as connection:
-        connection.sendall(GET.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n"))
+        connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
         answer = b""
         try:
             while piece := connection.recv(1 << 16):

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from pugeo_service.app import create_app
+from pugeo_service.app import create_app, create_metrics_app, create_service
+from pugeo_service.models import Models
 from pugeo_service.settings import Settings
 
 
@@ -30,3 +31,23 @@ def test_a_route_without_options(client: TestClient, path: str, method: str) -> 
         assert "this route has none" in problem["detail"]
     # No worker is ready in a service that is not started.
     assert client.request(method, path).status_code == (503 if path == "/health/ready" else 200)
+
+
+def test_the_port_of_metrics(tmp_path: Path) -> None:
+    """The separate port of metrics has one route, which refuses what the main port refuses."""
+    settings = Settings(engine="inline", spool_dir=tmp_path)
+    client = TestClient(create_metrics_app(create_service(settings, Models(settings))))
+    for query in ("verbose=1", "name[]=pugeo_workers", "a=1&a=2"):
+        answer = client.get(f"/metrics?{query}")
+        assert (answer.status_code, answer.json()["code"]) == (422, "bad_option")
+        assert client.head(f"/metrics?{query}").status_code == 422
+    told = client.get("/metrics")
+    assert "pugeo_workers{" in told.text
+    assert told.headers["x-content-type-options"] == "nosniff"
+    assert client.head("/metrics").status_code == 200
+    assert client.post("/metrics").headers["allow"] == "GET, HEAD"
+    lost = client.get("/jobs")
+    assert (lost.status_code, lost.json()["detail"]) == (
+        404,
+        "There is no route /jobs; here is /metrics.",
+    )
