@@ -38,7 +38,7 @@ coverage: $(VENV)/.installed-dev ## run the tests, slow ones too, and report bra
 	@rm -rf .cache/coverage; mkdir -p .cache/coverage
 	@$(BIN)/python -m coverage run -m pytest -m 'not long' $(PARALLEL) $(ARGS)
 	@$(BIN)/python -m coverage combine --quiet
-	@$(BIN)/python -m coverage report
+	@$(BIN)/python -m coverage report $(if $(ARGS),--fail-under=0)
 
 test-long: $(VENV)/.installed-dev ## run the tests that take minutes, and many random examples
 	@HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -m 'long or hypothesis' $(ARGS)

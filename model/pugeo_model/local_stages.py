@@ -39,24 +39,30 @@ class PatchNetwork(Protocol):
     """A network that upsamples whole patches.
 
     Attributes:
-        patch_ratio: samples that it makes of each point.
+        patch_ratio: number of output points for each input point.
     """
 
     patch_ratio: int
 
     def charts(self, patch: PointPatch, count: int) -> PatchPoints:
-        """Sample a patch; ``count`` has no say."""
+        """Upsample a patch; ``count`` is ignored, since ``patch_ratio`` is the number."""
 
 
 Network = ChartNetwork | PatchNetwork
 """Either kind; ``patch_ratio`` tells them apart."""
 
 Predicted = PatchCharts | PatchPoints
-"""What a network of either kind makes of a patch."""
+"""Charts, or output points, of one patch, as a network of either kind predicts them."""
 
 
 def predict(network: Network, patch: Patch | PointPatch, candidates: int) -> Predicted:
-    """Run a patch, of the kind that the network takes, through the network."""
+    """Run a patch through the network.
+
+    Args:
+        network: a network of either kind.
+        patch: its input: a `Patch` if it predicts charts, else a `PointPatch`.
+        candidates: candidates per chart; a network that upsamples whole patches ignores it.
+    """
     if network.patch_ratio is None:
         assert isinstance(patch, Patch)
         return network.charts(patch, candidates)
@@ -74,7 +80,7 @@ def merge_patches(prepared: PreparedTile, patches: Sequence[PatchPoints]) -> Pro
 
 def denoise(network: Network, prepared: PreparedTile, charts: Sequence[Predicted]) -> Tile | None:
     """Move the points of a noisy tile onto their charts; ``None`` if they hardly move."""
-    assert network.patch_ratio is None, "see needs_denoising"
+    assert network.patch_ratio is None, "only charts can denoise"
     atlas = Atlas.of(prepared.points, prepared.frames, _all_of(PatchCharts, charts))
     return denoised_tile(prepared, network.project(input_queries(prepared, atlas)))
 
@@ -124,9 +130,9 @@ def _densify_charts(
 
 
 def _all_of(kind: type[KindT], values: Sequence[object]) -> list[KindT]:
-    """Return values that are all of one kind, as such."""
+    """Return the values as a list of one type; fail if one of them has another type."""
     chosen = [value for value in values if isinstance(value, kind)]
-    assert len(chosen) == len(values), "made by a network of the other kind"
+    assert len(chosen) == len(values), "predicted by a network of the other kind"
     return chosen
 
 

@@ -42,8 +42,8 @@ class PreparedTile:
         area: ``(M,)`` float64, surface area of each point, unit scale squared.
         quotas: ``(M,)`` float64, relative numbers of output points; ``None`` if all are equal.
         candidates: candidates per chart.
-        patches: inputs of the network, of the kind that it takes. Cores of a :class:`Patch`
-            partition the points that get charts.
+        patches: inputs of the network: `Patch` if it predicts charts, with cores that partition
+            the points that get charts; `PointPatch` if it upsamples whole patches.
         noise: of the original input, in spacings, see `noise_level`.
     """
 

@@ -149,10 +149,12 @@ def create_app(
 
 
 def create_metrics_app(service: Service) -> FastAPI:
-    """Make the application of the separate port of metrics: the route alone, with the same rules.
+    """Make the application of the separate port of metrics.
+
+    Its only route is ``/metrics``, with the checks and headers that it has on the main port.
 
     Args:
-        service: whose metrics it tells.
+        service: the service whose metrics are served.
     """
     app = FastAPI(title="pugeo metrics", openapi_url=None, redirect_slashes=False)
     app.state.service = service

@@ -200,10 +200,10 @@ def install(app: FastAPI) -> None:
         code = _CODE.get(error.status_code, "http_error")
         detail, headers = error.detail, dict(error.headers or {})
         if error.status_code == 404:
-            known = " and ".join(app.openapi()["paths"])
-            others = (
-                f"{app.openapi_url} lists all routes" if app.openapi_url else f"here is {known}"
-            )
+            if app.openapi_url:
+                others = f"{app.openapi_url} lists all routes"
+            else:
+                others = f"this port has {', '.join(app.openapi()['paths'])}"
             detail = f"There is no route {request.url.path}; {others}."
         elif error.status_code == 405:
             detail = (

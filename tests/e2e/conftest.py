@@ -46,7 +46,7 @@ class Server:
         return [child for child in children if "spawn_main" in " ".join(_command(child))]
 
     def wait_until_started(self, seconds: float = 60.0) -> None:
-        """Wait until a worker process exists; it then imports for seconds."""
+        """Wait until a worker process exists, which is before the service is ready."""
         end = time.monotonic() + seconds
         while not self.workers():
             assert self.process.poll() is None, self.log.read_text()[-4000:]

@@ -52,13 +52,18 @@ class ConnectionLimit(RequestLimits):
     """HTTP/1.1 for a bounded number of connections; further ones get 503 and are closed."""
 
     max_connections = 1000
-    # The setting of this bound, if there is one.
+    # Name of the setting that changes this bound; None if there is none.
     setting: str | None = None
     _refusals = _Refusals()
 
     @classmethod
     def limited(cls, limit: int, setting: str | None) -> type["ConnectionLimit"]:
-        """Return this protocol with another bound, which refusals name by its setting, if any."""
+        """Return this protocol with another bound.
+
+        Args:
+            limit: the largest number of open connections.
+            setting: name of the setting that changes it, for refusals; ``None`` if there is none.
+        """
         members = {"max_connections": limit, "setting": setting, "_refusals": _Refusals()}
         return type(cls.__name__, (cls,), members)
 
@@ -69,7 +74,7 @@ class ConnectionLimit(RequestLimits):
             return
         self._refusals.add(self.max_connections)
         self.transport = transport
-        transport.write(encode_response(self._refusal_of_one_more()))
+        transport.write(encode_response(self._too_many_connections()))
         transport.close()
 
     def data_received(self, data: bytes) -> None:
@@ -77,7 +82,8 @@ class ConnectionLimit(RequestLimits):
         if not self.transport.is_closing():
             super().data_received(data)
 
-    def _refusal_of_one_more(self) -> ProblemError:
+    def _too_many_connections(self) -> ProblemError:
+        """The problem that a connection beyond the bound receives."""
         fields: dict[str, Any] = {"limit": self.max_connections}
         again = "try again after the time in Retry-After."
         if self.setting is None:

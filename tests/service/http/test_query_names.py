@@ -49,5 +49,5 @@ def test_the_port_of_metrics(tmp_path: Path) -> None:
     lost = client.get("/jobs")
     assert (lost.status_code, lost.json()["detail"]) == (
         404,
-        "There is no route /jobs; here is /metrics.",
+        "There is no route /jobs; this port has /metrics.",
     )
