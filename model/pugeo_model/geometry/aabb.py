@@ -6,7 +6,8 @@ take ten times as long, half of the time to partition a million points.
 """
 
 import numpy as np
-from numba import njit
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["bounds", "rows_inside"]
 

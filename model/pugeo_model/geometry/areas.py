@@ -2,9 +2,9 @@
 """Surface area of each input point; the density of the output follows it."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = [

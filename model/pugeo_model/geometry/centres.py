@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -26,6 +25,7 @@ from pugeo_model.geometry.robust_quadric import (
     fit_robust_quadric,
 )
 from pugeo_model.geometry.scale import LocalScale
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["Centres", "choose_centres"]

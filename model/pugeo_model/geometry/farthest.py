@@ -7,10 +7,10 @@ which takes ``K * n`` distances.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.partition import partition
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["farthest_points"]
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.pca import principal_axes
 from pugeo_model.geometry.quadric import QUADRIC, fit_quadric, tilt
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["Frames", "fit_frames", "noise_level", "rough_residuals"]

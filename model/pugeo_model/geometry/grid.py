@@ -7,8 +7,9 @@ All points within the size of a cell from a place lie in the 27 cells around the
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["Grid", "rows_within", "sort_into_grid", "thinned_grid"]
 

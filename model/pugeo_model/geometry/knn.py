@@ -8,8 +8,9 @@ left to the caller.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["nearest_by_leaves"]
 

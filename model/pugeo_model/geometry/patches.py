@@ -10,10 +10,10 @@ only. A backbone can therefore slice arrays and need not search.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.frames import Frames
+from pugeo_model.kernel_compiler import njit
 
 __all__ = [
     "EDGE",

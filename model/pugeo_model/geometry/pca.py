@@ -2,8 +2,9 @@
 """Principal axes (PCA) of weighted neighbours, the start of each canonical frame."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["cross", "diagonalise", "principal_axes"]
 

@@ -2,10 +2,10 @@
 """Fit of a quadric to the heights of weighted neighbours (jet fitting, Cazals and Pouget 2005)."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.pca import cross
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["QUADRIC", "fit_quadric", "solve", "tilt"]

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.areas import neighbour_mean
@@ -18,6 +17,7 @@ from pugeo_model.geometry.robust_quadric import (
     THICKNESS,
     fit_robust_quadric,
 )
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = [

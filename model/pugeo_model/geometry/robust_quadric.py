@@ -7,10 +7,10 @@ moving least squares, Fleishman, Cohen-Or and Silva 2005).
 """
 
 import numpy as np
-from numba import njit
 
 from pugeo_model.geometry.pca import cross, diagonalise
 from pugeo_model.geometry.quadric import QUADRIC, solve, tilt
+from pugeo_model.kernel_compiler import njit
 
 __all__ = [
     "FIT",

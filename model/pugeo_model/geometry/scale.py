@@ -10,7 +10,6 @@ compared to the radius (Pauly, Keiser and Gross 2003).
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -27,6 +26,7 @@ from pugeo_model.geometry.robust_quadric import (
     THICKNESS,
     fit_robust_quadric,
 )
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["LocalScale", "measure_scale"]

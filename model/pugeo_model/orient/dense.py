@@ -9,9 +9,9 @@ not. The input points, by which tiles are compared, get their signs from the out
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.orient.across_tiles import TileSigns, tile_signs
 from pugeo_model.orient.mst import Edges
 from pugeo_model.orient.mst_consensus import join_by_consensus

@@ -4,8 +4,9 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["SignedUnionFind"]
 
@@ -65,6 +66,7 @@ class SignedUnionFind:
             Rows of the edges between different parts afterwards, ascending.
         """
         most = np.array(levels, dtype=np.float32)
+        between: NDArray[np.int32]
         joined, between = _join_sure(self._links, left, right, opposite, weights, most)
         self.parts -= joined
         return between

@@ -7,9 +7,9 @@ around a point without input tells the two cases apart.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["are_beyond", "bounded_spacing", "distance_bounds"]

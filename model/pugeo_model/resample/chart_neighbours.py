@@ -6,8 +6,9 @@ short lists are searched, at any density, and no tree is built.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pugeo_model.kernel_compiler import njit
 
 __all__ = ["chart_neighbours", "group_by_chart"]
 

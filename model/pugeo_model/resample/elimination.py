@@ -11,9 +11,9 @@ weights the lower row is removed first, so that the result is deterministic.
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["chart_radii", "eliminate", "packing_radius"]

@@ -2,9 +2,9 @@
 """The charts nearest to a point."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["nearest_charts"]

@@ -7,9 +7,9 @@ distance in units of the range, and ``w(d) = max(1 - d, 0)``.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
 __all__ = ["repel"]

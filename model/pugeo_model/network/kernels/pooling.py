@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.network.kernels.bfloat16 import bits, to_bfloat16, to_float32
 
 __all__ = ["pools", "rectify", "sums"]

@@ -9,10 +9,10 @@ cache.
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch.nn import functional
 
+from pugeo_model.kernel_compiler import njit
 from pugeo_model.network.heads import LOG_ERROR, SurfaceHead
 from pugeo_model.network.kernels.bfloat16 import bits, to_bfloat16, to_float32
 from pugeo_model.network.precision import bfloat16_pays
