@@ -2,9 +2,8 @@
 """Cache of compiled kernels: a writable folder, and one compilation for all workers.
 
 numba stores compiled kernels beside each module or, if that folder is read-only, in the user's
-cache folder. `use_writable_folder` adds a third place. numba compiles a kernel again if its own
-module changed, but not if the constants of `tuning` did, so `use_writable_folder` deletes kernels
-that were compiled with other constants. This module imports neither numba nor torch.
+cache folder. `use_writable_folder` adds a third place. Kernels of other sources are compiled anew,
+see `kernel_compiler`. This module imports neither numba nor torch.
 """
 
 import hashlib
@@ -15,8 +14,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
+
+from pugeo_model.kernel_sources import modules_with_kernels, stamp
 
 __all__ = ["compile_kernels", "compiled", "use_writable_folder"]
 
@@ -26,7 +26,7 @@ _COMPILE = "from pugeo_model.kernel_cache import _compile_here; _compile_here()"
 
 
 def use_writable_folder() -> None:
-    """Let numba store kernels in a writable folder, and delete outdated kernels.
+    """Let numba store kernels in a writable folder.
 
     Must be called before numba is imported. A writable folder in ``NUMBA_CACHE_DIR`` is used.
     """
@@ -34,8 +34,8 @@ def use_writable_folder() -> None:
     if chosen and _is_writable(Path(chosen)):
         return
     if not chosen and _is_writable(_PACKAGE) and _is_writable(_PACKAGE / "__pycache__"):
-        _drop_outdated()
-    elif chosen or not _is_writable(_user_folder()):
+        return
+    if chosen or not _is_writable(_user_folder()):
         os.environ[_FOLDER_VARIABLE] = str(_temporary_folder())
 
 
@@ -101,18 +101,34 @@ def _compile_here() -> None:
     x, y, _ = np.indices((30, 30, 6)).reshape(3, -1)
     frames = np.stack([x, y, rng.normal(size=len(x), scale=0.3)], axis=-1)
     upsampler.upsample(make_plan(Cloud(frames), Options(2.0), tile_size=400))
-    _marker().parent.mkdir(parents=True, exist_ok=True)
-    _marker().touch()
+    _mark_compiled()
+
+
+def _mark_compiled() -> None:
+    """Write the marker, and delete those of other sources."""
+    marker = _marker()
+    marker.parent.mkdir(parents=True, exist_ok=True)
+    marker.touch()
+    for other in marker.parent.glob(f"compiled-{_place()}-*"):
+        # Those of other processors stay: their kernels are in the same folder.
+        if _sources() not in other.name:
+            other.unlink(missing_ok=True)
 
 
 def _marker() -> Path:
     """File that exists once the kernels of these sources were compiled for this machine."""
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        status = path.stat()
-        digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}\n".encode())
-    digest.update(f"{sys.version} {version('numba')} {_processor()}".encode())
-    return _folder() / f"compiled-{digest.hexdigest()[:16]}"
+    machine = hashlib.sha256(f"{sys.version} {_processor()}".encode()).hexdigest()
+    return _folder() / f"compiled-{_place()}-{_sources()}-{machine[:16]}"
+
+
+def _sources() -> str:
+    """Short digest of the sources of all kernels."""
+    return stamp(*modules_with_kernels())[:16]
+
+
+def _place() -> str:
+    """Short digest of where the package is installed; kernels are stored by that too."""
+    return hashlib.sha256(os.fsencode(_PACKAGE)).hexdigest()[:8]
 
 
 def _folder() -> Path:
@@ -160,16 +176,3 @@ def _processor() -> str:
         lines = []
     names = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
     return "\n".join(names[:2]) or platform.processor()
-
-
-def _drop_outdated() -> None:
-    """Delete kernels in the package that were compiled with other constants."""
-    constants = sorted(_PACKAGE.glob("tuning*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in constants)).hexdigest()
-    stamp = _PACKAGE / "__pycache__" / "tuning.sha256"
-    if stamp.exists() and stamp.read_text("utf-8") == digest:
-        return
-    for path in _PACKAGE.rglob("__pycache__/*.nb[ic]"):
-        path.unlink(missing_ok=True)
-    stamp.parent.mkdir(exist_ok=True)
-    stamp.write_text(digest, "utf-8")

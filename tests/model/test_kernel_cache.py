@@ -59,23 +59,23 @@ def test_a_chosen_folder_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
 
 
-def test_other_constants_drop_stored_kernels(
-    read_only: Path, monkeypatch: pytest.MonkeyPatch
+def test_markers_of_other_sources_are_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Constants of the method are compiled into kernels, so a change of them drops these."""
-    package = read_only / "pugeo_model"
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(kernel_cache, "_PACKAGE", package)
-    stored = package / "resample" / "__pycache__" / "repulsion._push-1.nbi"
-    for edited in (False, True):
-        kernel_cache.use_writable_folder()
-        stored.parent.mkdir(exist_ok=True)
-        stored.touch()
-        if edited:
-            tuning = package / "tuning.py"
-            tuning.write_text(tuning.read_text("utf-8") + "\n", "utf-8")
-        kernel_cache.use_writable_folder()
-        assert stored.exists() is not edited
+    """The marker of an upgrade replaces that of the version before; others' markers stay."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernel_cache._mark_compiled()
+    mine = kernel_cache._marker().name
+    monkeypatch.setattr(kernel_cache, "_processor", lambda: "another")
+    kernel_cache._mark_compiled()
+    neighbour = kernel_cache._marker().name
+    monkeypatch.setattr(kernel_cache, "stamp", lambda *_: "0" * 64)
+    assert not kernel_cache.compiled()
+    (tmp_path / "compiled-elsewhere").touch()
+    assert {path.name for path in tmp_path.iterdir()} == {mine, neighbour, "compiled-elsewhere"}
+    kernel_cache._mark_compiled()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {kernel_cache._marker().name, "compiled-elsewhere"}
 
 
 def test_kernels_are_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
