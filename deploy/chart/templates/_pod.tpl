@@ -46,11 +46,12 @@ securityContext:
   capabilities: {drop: [ALL]}
 {{- end }}
 
-{{/* The kernels of the image, in a folder where those for another processor can be added. */}}
+{{/* The kernels of the image, in a folder where those for another processor can be added. Not
+"cp -a": only the owner of a folder may set its times, and the node's root owns this one. */}}
 {{- define "pugeo.kernels" -}}
 - name: kernels
   {{- include "pugeo.container" . | nindent 2 }}
-  command: ["cp", "-a", "/var/cache/pugeo/.", "/kernels"]
+  command: ["cp", "-r", "/var/cache/pugeo/.", "/kernels"]
   resources:
     requests: {cpu: 50m, memory: 32Mi}
     limits: {memory: 128Mi}
