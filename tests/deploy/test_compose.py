@@ -76,20 +76,44 @@ def test_secrets_are_passed_on_and_never_empty(services: dict[str, Any]) -> None
             assert services[front]["environment"][name] is None
 
 
-def test_settings_of_the_operations_page_are_passed_on(
-    root: Path, services: dict[str, Any]
-) -> None:
-    """Each setting that the page advises reaches the service from `.env`."""
-    image = (root / "Dockerfile").read_text("utf-8")
-    fixed = set(re.findall(r"(PUGEO_\w+)=\S", image))
-    text = (root / "docs/how-to/operations.md").read_text("utf-8")
+def test_every_setting_reaches_the_service(root: Path, services: dict[str, Any]) -> None:
+    """Each setting reaches the services from `.env`, but those of the image or of the role."""
+    image = set(re.findall(r"(PUGEO_\w+)=\S", (root / "Dockerfile").read_text("utf-8")))
     known = {f"PUGEO_{name.upper()}" for name in Settings.model_fields}
-    named = (set(re.findall(r"PUGEO_[A-Z_]+", text)) & known) - fixed
-    assert len(named) > 15
-    assert named <= services["api"]["environment"].keys()
+    api = set(services["api"]["environment"])
+    assert known - api == image - {"PUGEO_LOG_FORMAT"}
     # The workers of `front` are in containers of their own.
-    assert named - {"PUGEO_WORKERS"} <= services["front"]["environment"].keys()
-    assert {"PUGEO_WORKERS", "PUGEO_WORKER_MEMORY"} <= services["worker"]["environment"].keys()
+    assert api - set(services["front"]["environment"]) == {"PUGEO_WORKERS", "PUGEO_ENGINE"}
+    of_workers = {f"PUGEO_{name}" for name in ("WORKERS", "WORKER_MEMORY", "MODEL", "START_S")}
+    assert of_workers <= services["worker"]["environment"].keys()
+    for role in ("api", "front", "scheduler", "worker"):
+        for name in ("PUGEO_LOG_FORMAT", "PUGEO_LOG_LEVEL"):
+            assert services[role]["environment"][name].startswith(f"${{{name}:-"), (role, name)
+
+
+def test_what_the_example_offers_is_passed_on(root: Path, services: dict[str, Any]) -> None:
+    """The names that .env.example shows as comments are those that services pass on."""
+    text = (root / ".env.example").read_text("utf-8")
+    offered = set(re.findall(r"^#(\w+)=", text, re.MULTILINE))
+    passed = {
+        name
+        for service in services.values()
+        for name, value in service.get("environment", {}).items()
+        if value is None
+    }
+    assert offered == passed
+    assert {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_ENDPOINT_URL"} <= passed
+
+
+def test_folders_of_the_image_can_be_written(root: Path, services: dict[str, Any]) -> None:
+    """Each role has a volume where the image puts what it writes, since its root is read-only."""
+    folder = re.search(r"PUGEO_SPOOL_DIR=(\S+)", (root / "Dockerfile").read_text("utf-8"))
+    assert folder is not None
+    ours = [name for name, each in services.items() if each["image"].startswith("pugeo")]
+    assert {"api", "front", "scheduler", "worker"} <= set(ours)
+    for name in ours:
+        mounts = [mount.split(":") for mount in services[name]["volumes"]]
+        assert [m[2:] for m in mounts if m[1] == folder[1]] == [[]], name
 
 
 def test_no_variable_of_the_image_is_taken_away(root: Path, services: dict[str, Any]) -> None:
