@@ -19,7 +19,7 @@ from pugeo_model.errors import BadOptionError
 from pugeo_service.app import create_app, create_metrics_app
 from pugeo_service.container import Service
 from pugeo_service.engine.children import end_at_once
-from pugeo_service.http.connection_limit import usable_descriptors
+from pugeo_service.http.connection_limit import LINGERING, usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.models import Models
 from pugeo_service.settings import Settings
@@ -155,7 +155,7 @@ def serve(settings: Settings) -> int:
 
 def _connections(settings: Settings) -> int:
     """Return the bound on connections, which leaves descriptors for files and workers."""
-    others = _OTHER_DESCRIPTORS + 4 * (settings.queue_requests + settings.jobs_running)
+    others = _OTHER_DESCRIPTORS + LINGERING + 4 * (settings.queue_requests + settings.jobs_running)
     return max(_LEAST_CONNECTIONS, min(settings.max_connections, usable_descriptors() - others))
 
 

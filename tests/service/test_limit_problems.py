@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from starlette.requests import Request
 from starlette.types import Message
+from tests.service.http.fake_loop import connect
 
 from pugeo_model.errors import LimitExceededError
 from pugeo_model.formats import Limits
@@ -124,21 +125,6 @@ def slow_body() -> ProblemError:
     return raised(lambda: asyncio.run(run()))
 
 
-class Wire(asyncio.Transport):
-    """A connection that is closed after what is written."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.closed = False
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Drop bytes."""
-
-    def close(self) -> None:
-        """Close."""
-        self.closed = True
-
-
 def many_connections(setting: str | None) -> ProblemError:
     """A connection too many."""
     found: list[ProblemError] = []
@@ -147,11 +133,9 @@ def many_connections(setting: str | None) -> ProblemError:
         found.append(problem)
         return b""
 
-    protocol = object.__new__(ServerProtocol.limited(0, setting))
-    protocol.connections = set()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(connection_limit, "encode_response", encode)
-        protocol.connection_made(Wire())
+        connect(ServerProtocol.limited(0, setting))
     return found[0]
 
 

@@ -16,6 +16,7 @@ from uvicorn.server import ServerState
 
 from pugeo_service.engine.dask_config import CONFIG
 from pugeo_service.engine.retries import ReportRetries
+from pugeo_service.http.lingering_close import LingeringClose
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.http.request_limits import RequestLimits
 
@@ -24,9 +25,10 @@ def test_methods_of_the_protocol() -> None:
     """Each overridden method exists in uvicorn's protocol, except our own helpers."""
     helpers = {
         "_start_timer", "_cancel_timer", "_on_timeout", "_start_read_timer", "_check_reader",
-        "_cancel_linger_timer", "_cancel_read_timer", "_unread",
+        "_cancel_linger_timer", "_cancel_read_timer", "_unread", "guarded", "_linger", "_on_idle",
+        "_cancel_timers",
     }  # fmt: skip
-    for kind in (RequestLimits, ServerProtocol):
+    for kind in (LingeringClose, RequestLimits, ServerProtocol):
         methods = {name for name, value in vars(kind).items() if inspect.isfunction(value)}
         assert methods - helpers
         assert [name for name in methods - helpers if not hasattr(HttpToolsProtocol, name)] == []

@@ -15,11 +15,13 @@ import structlog
 from pugeo_service.http.request_limits import RequestLimits, encode_response
 from pugeo_service.problems import NO_SETTING, ProblemError
 
-__all__ = ["ConnectionLimit", "usable_descriptors"]
+__all__ = ["LINGERING", "ConnectionLimit", "usable_descriptors"]
 
 _log = structlog.stdlib.get_logger("pugeo.http")
 _LOG_EVERY_S = 60.0
 _WANTED_DESCRIPTORS = 65_536
+# Refused connections that linger at one time; each holds a descriptor. More are closed at once.
+LINGERING = 32
 
 
 def usable_descriptors() -> int:
@@ -37,6 +39,8 @@ class _Refusals:
     """Refused connections, of which the log gets one line a minute."""
 
     def __init__(self) -> None:
+        # Those whose clients have not closed them yet.
+        self.lingering: set[ConnectionLimit] = set()
         self._count = 0
         self._logged = float("-inf")
 
@@ -69,18 +73,24 @@ class ConnectionLimit(RequestLimits):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin a connection, or refuse it."""
-        if len(self.connections) < self.max_connections:
+        lingering = self._refusals.lingering
+        if len(self.connections) - len(lingering) < self.max_connections:
             super().connection_made(transport)
             return
         self._refusals.add(self.max_connections)
-        self.transport = transport
-        transport.write(encode_response(self._too_many_connections()))
-        transport.close()
+        self.transport = self.guarded(transport)
+        self.transport.write(encode_response(self._too_many_connections()))
+        if len(lingering) < LINGERING:
+            # Its client sends a request before it reads the answer.
+            self._receiving = True
+            self.connections.add(self)  # the end of the server ends it too
+            lingering.add(self)
+        self.transport.close()
 
-    def data_received(self, data: bytes) -> None:
-        """Parse bytes, unless the connection was refused."""
-        if not self.transport.is_closing():
-            super().data_received(data)
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget a refused connection."""
+        self._refusals.lingering.discard(self)
+        super().connection_lost(exc)
 
     def _too_many_connections(self) -> ProblemError:
         """The problem that a connection beyond the bound receives."""

@@ -14,6 +14,7 @@ from typing import Any, cast
 from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
 from pugeo_service.http.connection_limit import ConnectionLimit
+from pugeo_service.http.lingering_close import LINGER_S
 
 __all__ = ["GONE", "ServerProtocol"]
 
@@ -23,9 +24,6 @@ GONE = "pugeo.gone"
 
 # Seconds in which a client must read at least a part of the buffered response.
 READ_TIMEOUT_S = 30.0
-# Seconds in which the rest of a refused body is received and discarded. Most clients read the
-# response only after they have sent the whole body; a reset would discard the response.
-LINGER_S = 30.0
 
 
 class ServerProtocol(ConnectionLimit):
@@ -55,7 +53,7 @@ class ServerProtocol(ConnectionLimit):
         """Start the timers that bound the rest of the body and of the response."""
         answered = self._running
         super().on_response_complete()
-        if answered is not None and answered.more_body:
+        if answered is not None and answered.more_body and not self.transport.is_closing():
             self._linger_timer = self.loop.call_later(LINGER_S, self.transport.abort)
         # The rest may be too small for `pause_writing`; yet closing would wait for it for ever.
         if self.transport.get_write_buffer_size() and self._read_timer is None:

@@ -3,9 +3,6 @@
 
 Without limits one connection could fill the memory with header lines, or hold its socket by sending
 one byte a minute. Refused requests, and bytes that are not HTTP, are answered by problem documents.
-
-This is a subclass of a private class of uvicorn: pyproject.toml bounds the version of uvicorn, and
-tests/service/test_private_names.py checks that each inherited name exists.
 """
 
 import asyncio
@@ -13,8 +10,9 @@ import re
 from http import HTTPStatus
 from typing import Any
 
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
+from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
+from pugeo_service.http.lingering_close import LingeringClose
 from pugeo_service.http.security_headers import add_security_headers
 from pugeo_service.problems import NO_SETTING, ProblemError
 
@@ -26,7 +24,7 @@ HEAD_TIMEOUT_S = 30.0
 _HOST = re.compile(rb"[^\x00-\x20\x7f-\xff/?#@\\]*")
 
 
-class RequestLimits(HttpToolsProtocol):
+class RequestLimits(LingeringClose):
     """HTTP/1.1 with request heads that are bounded in bytes, fields and seconds."""
 
     _timer: asyncio.TimerHandle | None = None
@@ -110,6 +108,7 @@ class RequestLimits(HttpToolsProtocol):
     def send_400_response(self, msg: str) -> None:
         """Answer a request that never reaches the application with a problem; close."""
         del msg
+        self._cancel_timer()
         cycle: RequestResponseCycle | None = self.cycle
         if cycle is None or not cycle.response_started or cycle.response_complete:
             problem = self._refusal or ProblemError(

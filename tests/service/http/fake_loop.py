@@ -56,16 +56,24 @@ class FakeTransport:
     Attributes:
         written: all bytes.
         buffered: size of the write buffer, set by tests.
+        eof: no more is written, yet the connection is open.
         ended: "close" or "abort" once called.
     """
 
     def __init__(self) -> None:
         self.written = b""
         self.buffered = 0
+        self.eof = False
         self.ended = ""
 
     def write(self, data: bytes) -> None:
         self.written += data
+
+    def can_write_eof(self) -> bool:
+        return True
+
+    def write_eof(self) -> None:
+        self.eof = True
 
     def close(self) -> None:
         self.ended = self.ended or "close"
@@ -92,11 +100,13 @@ class FakeTransport:
 async def _app(_scope: Any, _receive: Any, _send: Any) -> None: ...
 
 
-def connect(protocol: type[HttpToolsProtocol]) -> tuple[Any, FakeLoop, FakeTransport]:
-    """Return a connected protocol with its loop and transport."""
+def connect(
+    protocol: type[HttpToolsProtocol], state: ServerState | None = None
+) -> tuple[Any, FakeLoop, FakeTransport]:
+    """Return a connected protocol with its loop and transport, of this server or one of its own."""
     config = uvicorn.Config(_app, http=protocol, ws="none", lifespan="off", log_config=None)
     config.load()
     loop, transport = FakeLoop(), FakeTransport()
-    made: Any = protocol(config, ServerState(), {}, loop)  # type: ignore[arg-type]
+    made: Any = protocol(config, state or ServerState(), {}, loop)  # type: ignore[arg-type]
     made.connection_made(transport)
     return made, loop, transport
