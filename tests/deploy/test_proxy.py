@@ -38,8 +38,12 @@ class Upstream(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     gate = threading.Event()
+    busy = False  # it answers requests, and no probe
 
     def do_GET(self) -> None:
+        if self.path == "/health/live" and self.busy:
+            self.send_error(503)
+            return
         if self.path == "/held":
             self.gate.wait(START_S)
         body = str(self.headers).encode()
@@ -99,10 +103,17 @@ def write_certificate(folder: Path) -> Path:
     return folder / "cert.pem"
 
 
+class Busy(Upstream):
+    """One whose probes fail, as they do by the time limit of the proxy under load."""
+
+    busy = True
+    server_version = "Busy"
+
+
 @contextlib.contextmanager
-def upstream() -> Iterator[int]:
+def upstream(kind: type[Upstream] = Upstream) -> Iterator[int]:
     """A service on a port of its own."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), Upstream) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
@@ -124,6 +135,7 @@ def running(files: Path, folder: Path, **environment: str) -> Iterator[Proxy]:
             text = text.replace(f":{number}", f":{port}")
         for path in ("/etc/traefik", "/certificates", "/acme/"):
             text = text.replace(f" {path}", f" {folder}" + "/" * path.endswith("/"))
+        text = text.replace("interval: 5s, timeout: 3s", "interval: 100ms, timeout: 100ms")
         nobody = f"caServer: http://127.0.0.1:{free_port()}"
         text = text.replace("      httpChallenge:", f"      {nobody}\n      httpChallenge:")
         (folder / name).write_text(text, "utf-8")
@@ -259,6 +271,33 @@ def test_a_front_that_is_gone_costs_no_request(root: Path, tmp_path: Path) -> No
         ):
             statuses = [client.post("/", content=b"cloud").status_code for _ in range(20)]
     assert statuses == [200] * 20
+
+
+def test_a_front_that_is_alone_stays(root: Path, tmp_path: Path) -> None:
+    """One that has no time for probes gets its requests: nobody else could take them."""
+    with (
+        upstream(Busy) as port,
+        running(root / "deploy/proxy", tmp_path, PUGEO_UPSTREAMS=f"http://127.0.0.1:{port}") as it,
+        it.client() as client,
+    ):
+        for _ in range(20):  # many times the interval of probes here
+            assert client.get("/").status_code == 200
+            time.sleep(0.1)
+
+
+def test_of_several_fronts_a_busy_one_is_left_out(root: Path, tmp_path: Path) -> None:
+    """One whose probes fail gets no more requests while another one answers its own."""
+    with upstream(Busy) as busy, upstream() as port:
+        upstreams = f"http://127.0.0.1:{busy},http://127.0.0.1:{port}"
+        with (
+            running(root / "deploy/proxy", tmp_path, PUGEO_UPSTREAMS=upstreams) as proxy,
+            proxy.client() as client,
+        ):
+
+            def left_out() -> bool:
+                return all("Busy" not in client.get("/").headers["Server"] for _ in range(20))
+
+            wait_until(left_out, tmp_path / "log")
 
 
 def test_a_public_name_alone_is_served(root: Path, tmp_path: Path) -> None:
