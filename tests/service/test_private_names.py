@@ -91,6 +91,9 @@ def test_names_of_dask() -> None:
         assert f"{name}:" in states, name
     for name in ("retire_workers", "identity", "remove_worker"):
         assert hasattr(scheduler.Scheduler, name), name
+    removed = inspect.getsource(scheduler.Scheduler.remove_worker)
+    for member in ('"action": "remove-worker"', '"expected": expected', '["worker"] = address'):
+        assert member in removed, member
     for name in ("worker_address", "finished", "close", "_unregister"):
         assert hasattr(distributed.Nanny, name), name
     assert "self.handlers" in inspect.getsource(distributed.core.Server.__init__)

@@ -22,7 +22,6 @@ from distributed.client import ClosedClientError, FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from pugeo_model.weights import Weights
-from pugeo_service import __version__
 from pugeo_service.engine.backend import CORE, QUICK, Handle, is_quick
 from pugeo_service.engine.children import end_processes
 from pugeo_service.engine.dask_config import (
@@ -33,10 +32,10 @@ from pugeo_service.engine.dask_config import (
 )
 from pugeo_service.engine.errors import EngineLostError, EngineStartError, WorkerLostError
 from pugeo_service.engine.heartbeats import HeartbeatWatch, cpu_seconds
+from pugeo_service.engine.membership import EVENTS, Membership
 from pugeo_service.engine.model_plugin import ModelPlugin
 from pugeo_service.engine.retries import TOPIC, ReportRetries
-from pugeo_service.engine.worker import VERSION_METRIC, run_stage
-from pugeo_service.engine.worker_use import worker_name, worker_uses
+from pugeo_service.engine.worker import run_stage
 from pugeo_service.observability.telemetry import WorkerUse
 from pugeo_service.settings import Settings
 
@@ -69,18 +68,13 @@ class DaskBackend:
         self._starting_cluster: asyncio.Future[Any] | None = None
         self._client: Any = None
         self._poll: asyncio.Task[None] | None = None
-        self._workers: frozenset[str] = frozenset()
+        self._members = Membership()
         self._heartbeats = HeartbeatWatch()
         # Processes that are not workers yet, and the times at which they were first seen.
         self._starting: dict[int, float] = {}
-        # Workers of another version, by address; they are told of once.
-        self._foreign: frozenset[str] = frozenset()
-        self.worker_memory: int | None = None
-        self.lost_workers = 0
         self.retried_patches = 0
         # Weights that workers do not have by themselves.
         self._weights: dict[str, Weights] = {}
-        self.uses: tuple[WorkerUse, ...] = ()
         # Distinguishes the tasks of this front from those of others at the same scheduler.
         self._name = secrets.token_hex(6)
 
@@ -90,12 +84,27 @@ class DaskBackend:
 
         None without a connection to the scheduler, whose loss the client sees at once.
         """
-        return len(self._workers) if getattr(self._client, "status", "") == "running" else 0
+        return len(self._members.names) if getattr(self._client, "status", "") == "running" else 0
 
     @property
     def worker_names(self) -> tuple[str, ...]:
         """Names or addresses of the workers."""
-        return tuple(sorted(self._workers))
+        return tuple(sorted(self._members.names))
+
+    @property
+    def worker_memory(self) -> int | None:
+        """Bytes that each worker may use; ``None`` if they are unlimited or unknown."""
+        return self._members.memory
+
+    @property
+    def lost_workers(self) -> int:
+        """Workers that ended unexpectedly since the start."""
+        return self._members.lost
+
+    @property
+    def uses(self) -> tuple[WorkerUse, ...]:
+        """Memory and processor time of each worker, some seconds old."""
+        return self._members.uses
 
     async def start(self) -> None:
         """Start the cluster or reach it; returns once a worker is warm.
@@ -253,6 +262,7 @@ class DaskBackend:
         self._client = await _dask.Client(
             address, asynchronous=True, security=security, direct_to_workers=True, timeout="30s"
         )
+        self._client.subscribe_topic(EVENTS, self._members.on_event)
         try:
             await self._client.register_plugin(ReportRetries())
         except Exception as error:  # noqa: BLE001 - a count is not worth a connection
@@ -282,10 +292,10 @@ class DaskBackend:
                 async with asyncio.timeout(_LOST_S):
                     await asyncio.wait({looking}, timeout=silence)
                     if not looking.done():
-                        self._workers = frozenset()
+                        self._members.names = frozenset()
                     await looking
             except (OSError, EngineLostError) as error:
-                self._workers, self.uses = frozenset(), ()
+                self._members.forget()
                 if self._cluster is None:
                     _log.warning("the scheduler is lost; it is tried again", reason=str(error))
                     await self._connect_again()
@@ -306,40 +316,14 @@ class DaskBackend:
         if scheduler is None:
             raise EngineLostError("the connection to the scheduler is closed")
         identity = await scheduler.identity(n_workers=-1)
-        self._log_other_versions(identity["workers"])
         hanging = self._heartbeats.hanging(
             {address: worker["last_seen"] for address, worker in identity["workers"].items()},
             {address: cpu_seconds(pid) for address, pid in self._pids().items()},
         )
-        workers = frozenset(
-            worker_name(address, worker)
-            for address, worker in identity["workers"].items()
-            # Without such a core it would never be given work: see `worker.one_at_a_time`.
-            if worker["status"] == "running" and CORE in worker["resources"]
-            if address not in hanging
-        )
-        limits = [worker.get("memory_limit") for worker in identity["workers"].values()]
-        self.worker_memory = min((limit for limit in limits if limit), default=None)
-        self.lost_workers += len(self._workers - workers)
-        self._workers = workers
-        self.uses = worker_uses(identity["workers"])
+        self._members.see(identity["workers"], hanging)
         if self._cluster is not None:
             self._end_hanging(hanging)
             self._replace_nannies()
-
-    def _log_other_versions(self, workers: dict[str, Any]) -> None:
-        """Log each worker of another version once; tasks need resources that it does not have."""
-        foreign = {
-            address: worker.get("metrics", {}).get(VERSION_METRIC, "of unknown version")
-            for address, worker in workers.items()
-            if CORE not in worker["resources"]
-        }
-        for address in foreign.keys() - self._foreign:
-            _log.error(
-                f"worker {address} runs pugeo {foreign[address]}, this service {__version__}: it "
-                "is not used"
-            )
-        self._foreign = frozenset(foreign)
 
     def _processes(self) -> set[psutil.Process]:
         """Return our own worker processes, also those that are starting."""

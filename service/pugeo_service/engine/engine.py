@@ -49,7 +49,7 @@ class Status:
     Attributes:
         workers: warm workers; 0 before the self test succeeded.
         expected: configured number of workers, or ``None`` for an external cluster.
-        lost: workers that ended unexpectedly; one that comes and goes between two polls is missed.
+        lost: workers that ended unexpectedly, and not in order.
         retried: patches run again because a worker was lost.
         uses: memory and processor time of each worker.
     """

@@ -193,18 +193,28 @@ class WorkerHost:
                     return
 
     async def _retire(self) -> None:
-        """Let other workers take over the results of these."""
+        """Let other workers take over the results of these, and sign these off."""
         workers = [nanny.worker_address for nanny in self._nannies if nanny.worker_address]
         if not workers:
             return
-        try:
-            async with (
-                asyncio.timeout(_RETIRE_S),
-                _dask.rpc(self._settings.scheduler, connection_args=self._connection) as scheduler,
-            ):
-                await scheduler.retire_workers(workers=workers, close_workers=False, remove=True)
-        except Exception as error:  # noqa: BLE001 - the results are computed again then
-            _log.warning("results are not handed over", reason=_reason(error))
+        async with _dask.rpc(
+            self._settings.scheduler, connection_args=self._connection
+        ) as scheduler:
+            try:
+                async with asyncio.timeout(_RETIRE_S):
+                    await scheduler.retire_workers(
+                        workers=workers, close_workers=False, remove=True
+                    )
+            except Exception as error:  # noqa: BLE001 - the results are computed again then
+                _log.warning("results are not handed over", reason=_reason(error))
+            # Where nobody could take them over, the scheduler still has the worker; it would count
+            # as lost, and its tasks as suspicious.
+            with contextlib.suppress(Exception):
+                async with asyncio.timeout(_UNREGISTER_S):
+                    for address in workers:
+                        await scheduler.unregister(
+                            address=address, stimulus_id="pugeo-worker-leaves", expected=True
+                        )
 
 
 def _reason(error: BaseException) -> str:

@@ -21,15 +21,16 @@ from pugeo_service.engine.dask_backend import DaskBackend
 from pugeo_service.settings import Settings
 
 Pids = Callable[[], dict[str, int]]
-Scenario = Callable[[DaskBackend, Pids], Awaitable[None]]
+Scenario = Callable[[DaskBackend, Pids, Callable[[], None]], Awaitable[None]]
 
 
 @pytest.fixture
 def play(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Scenario], None]:
     """Run a scenario with a scheduler, a host of two light workers, and a front, over TLS.
 
-    The scenario gets the backend of the front, and a function that returns the process ids
-    of the present workers by their addresses: a busy machine may replace one.
+    The scenario gets the backend of the front, a function that returns the process ids of the
+    present workers by their addresses (a busy machine may replace one), and one that lets the
+    host leave.
     """
     config = {**dask_config.CONFIG, "distributed.worker.preload": [light.__name__]}
     monkeypatch.setattr(dask_config, "CONFIG", config)
@@ -53,7 +54,7 @@ def play(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Callabl
             await backend.start()
             await warm(backend, 2)
             await scenario(
-                backend, lambda: {each.worker_address: each.pid for each in host._nannies}
+                backend, lambda: {each.worker_address: each.pid for each in host._nannies}, stop.set
             )
         finally:
             await backend.stop()
@@ -85,7 +86,7 @@ def test_a_stopped_worker_is_replaced(play: Callable[[Scenario], None], tmp_path
     """Its task runs elsewhere, its process is ended, and another one comes."""
     gate, log = tmp_path / "gate", tmp_path / "log"
 
-    async def scenario(backend: DaskBackend, pids: Pids) -> None:
+    async def scenario(backend: DaskBackend, pids: Pids, _: object) -> None:
         held = submit(backend, light.hold, str(gate), str(log), "held")
         await until(log.exists)
         processing = await backend._client.processing()
@@ -112,11 +113,31 @@ def test_a_worker_that_goes_on_comes_back(
 
     monkeypatch.setattr(worker_watch.WorkerWatch, "_restart", never)
 
-    async def scenario(backend: DaskBackend, pids: Pids) -> None:
+    async def scenario(backend: DaskBackend, pids: Pids, _: object) -> None:
         address, pid = next(iter(pids().items()))
         os.kill(pid, signal.SIGSTOP)
         await until_gone(backend, address, 1)
         os.kill(pid, signal.SIGCONT)
         await until_gone(backend, address, 2)
+
+    play(scenario)
+
+
+@pytest.mark.slow
+def test_workers_that_leave_are_not_lost(play: Callable[[Scenario], None]) -> None:
+    """A front counts the worker that is killed, and not those of a machine that ends in order."""
+
+    async def scenario(backend: DaskBackend, pids: Pids, leave: Callable[[], None]) -> None:
+        address, pid = next(iter(pids().items()))
+        os.kill(pid, signal.SIGKILL)
+        await until_gone(backend, address, 2)
+        await until(lambda: backend.lost_workers == 1)
+        # Its result is on one of them, and nobody is left to take it over.
+        kept = submit(backend, light.add, 1, 1)
+        assert await backend.fetch(kept) == 2
+        leave()
+        await until_gone(backend, address, 0)
+        await until(lambda: backend.warm_workers == 0)
+        assert backend.lost_workers == 1
 
     play(scenario)
