@@ -14,6 +14,7 @@ import structlog
 from pugeo_service.engine.children import end_at_once
 from pugeo_service.engine.scheduler_host import run_scheduler
 from pugeo_service.engine.worker_host import WorkerHost
+from pugeo_service.preflight import unusable_host
 from pugeo_service.settings import Settings
 from pugeo_service.startup import begin, read_settings
 
@@ -27,11 +28,18 @@ _END_S = 60.0
 def scheduler_main(given: dict[str, Any]) -> int:
     """Schedule for fronts and workers until a signal; return the exit status.
 
+    Args:
+        given: settings over those of the environment; ``scheduler`` is the address to listen on.
+
     Returns:
         0 after a clean end, 1 if it cannot listen, 2 for a wrong setting.
     """
     settings = read_settings(given)
-    if settings is None or not begin(settings, computes=False):
+    if settings is None:
+        return 2
+    assert settings.scheduler is not None
+    host = settings.scheduler.removeprefix("tls://").rpartition(":")[0].strip("[]")
+    if _refused(unusable_host(host, "--host")) or not begin(settings, computes=False):
         return 2
     return _until_signal(lambda stop: run_scheduler(settings, stop))
 
@@ -48,10 +56,19 @@ def worker_main(given: dict[str, Any], host: str | None, port: int | None) -> in
     if settings.scheduler is None:
         sys.stderr.write("PUGEO_SCHEDULER: must be tls://host:port of a `pugeo scheduler`\n")
         return 2
+    if host is not None and _refused(unusable_host(host, "--host")):
+        return 2
     if not begin(settings):
         return 2
     _log.info("starting workers", scheduler=settings.scheduler, workers=settings.worker_count)
     return _until_signal(lambda stop: _work(settings, host, port, stop))
+
+
+def _refused(problem: str | None) -> bool:
+    """Write a line about a wrong option, if there is one."""
+    if problem is not None:
+        sys.stderr.write(problem + "\n")
+    return problem is not None
 
 
 async def _work(settings: Settings, host: str | None, port: int | None, stop: asyncio.Event) -> int:

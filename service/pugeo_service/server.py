@@ -22,6 +22,7 @@ from pugeo_service.engine.children import end_at_once
 from pugeo_service.http.connection_limit import LINGERING, usable_descriptors
 from pugeo_service.http.protocol import ServerProtocol
 from pugeo_service.models import Models
+from pugeo_service.preflight import unusable_host
 from pugeo_service.settings import Settings
 from pugeo_service.startup import begin, read_settings
 
@@ -30,7 +31,7 @@ __all__ = ["main", "serve"]
 _log = structlog.stdlib.get_logger("pugeo.service")
 # Of workers, the database, files of requests, and the system's own.
 _OTHER_DESCRIPTORS = 128
-_LEAST_CONNECTIONS = 16
+_OF_A_REQUEST = 4
 _METRICS_CONNECTIONS = 32
 _METRICS_STOP_S = 5.0
 # Seconds after the time to drain in which workers, jobs and files are closed in order.
@@ -100,6 +101,10 @@ def serve(settings: Settings) -> int:
     The address is printed on stdout at once, because port 0 selects a free port, and once more when
     requests are served.
     """
+    problem = unusable_host(settings.host, "PUGEO_HOST") or _too_few_descriptors(settings)
+    if problem is not None:
+        sys.stderr.write(problem + "\n")
+        return 2
     if not begin(settings):
         return 2
     try:
@@ -155,8 +160,34 @@ def serve(settings: Settings) -> int:
 
 def _connections(settings: Settings) -> int:
     """Return the bound on connections, which leaves descriptors for files and workers."""
-    others = _OTHER_DESCRIPTORS + LINGERING + 4 * (settings.queue_requests + settings.jobs_running)
-    return max(_LEAST_CONNECTIONS, min(settings.max_connections, usable_descriptors() - others))
+    others = _other_descriptors(settings)
+    return min(settings.max_connections, usable_descriptors(others + _wanted(settings)) - others)
+
+
+def _too_few_descriptors(settings: Settings) -> str | None:
+    """Return a line about a queue that is longer than the connections which this process may have.
+
+    Without it a large queue would leave a few connections, so that it could never be full.
+    """
+    needed = _other_descriptors(settings) + _wanted(settings)
+    usable = usable_descriptors(needed)
+    if usable >= needed:
+        return None
+    queue, running = settings.queue_requests, settings.jobs_running
+    return (
+        f"PUGEO_QUEUE_REQUESTS={queue}, PUGEO_JOBS_RUNNING={running}: so many need {needed:,} open "
+        f"files, and this process may have {usable:,} (ulimit -n); lower them, or allow more files"
+    )
+
+
+def _other_descriptors(settings: Settings) -> int:
+    running = settings.queue_requests + settings.jobs_running
+    return _OTHER_DESCRIPTORS + LINGERING + _OF_A_REQUEST * running
+
+
+def _wanted(settings: Settings) -> int:
+    """Return the connections that a full queue has."""
+    return min(settings.queue_requests, settings.max_connections)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,12 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from pugeo_model.cpus import available_cpus
 from pugeo_service import keys
 from pugeo_service.memory_setting import check_memory
-from pugeo_service.url_settings import check_database, check_store
+from pugeo_service.url_settings import (
+    check_database,
+    check_host,
+    check_scheduler,
+    check_store,
+)
 
 __all__ = ["Settings", "explain", "unknown_names"]
 
@@ -28,7 +33,8 @@ _ORIGIN = re.compile(r"https?://[^/\s,*?#]+")
 _TEN_YEARS_S = 315_360_000
 # Finite: an infinite number of seconds reaches dates, timers and the database, which have none.
 Seconds = Annotated[float, Field(gt=0, le=_TEN_YEARS_S, allow_inf_nan=False)]
-_ADDRESS = re.compile(r"tls://(\[[0-9a-fA-F:.]+\]|[^/:@\s]+):[0-9]{1,5}")
+# Databases have integers of 64 bits, and JSON those of 53.
+Count = Annotated[int, Field(ge=1, le=1 << 53)]
 # Names that the command line, the SDK and the files of docker compose read.
 _OTHER_NAMES = frozenset({
     "PUGEO_API_KEY", "PUGEO_BIND", "PUGEO_CACHE", "PUGEO_CERTIFICATES",
@@ -97,35 +103,31 @@ class Settings(BaseSettings):
     tls_cert: Path | None = None
     tls_key: Path | None = None
 
-    max_body_bytes: Annotated[int, Field(ge=1)] = 256 * MIB
-    max_points: Annotated[int, Field(ge=1)] = 5_000_000
+    max_body_bytes: Count = 256 * MIB
+    max_points: Count = 5_000_000
     max_cloud_bytes: Annotated[
-        int, Field(ge=1, description="maximum bytes of an input with all attributes, unpacked")
+        Count, Field(description="maximum bytes of an input with all attributes, unpacked")
     ] = 512 * MIB
-    max_output_points: Annotated[int, Field(ge=1)] = 20_000_000
+    max_output_points: Count = 20_000_000
     max_output_bytes: Annotated[
-        int, Field(ge=1, description="maximum bytes of the points of an answer with all attributes")
+        Count, Field(description="maximum bytes of the points of an answer with all attributes")
     ] = 2048 * MIB
     preview_points: Annotated[
         int, Field(ge=8, description="maximum points that a surface preview is made of")
     ] = 100_000
-    queue_patches: Annotated[int, Field(ge=1, description="capacity of the queue in patches")] = (
-        4096
+    queue_patches: Annotated[Count, Field(description="capacity of the queue in patches")] = 4096
+    queue_bytes: Annotated[Count, Field(description="bytes of bodies and answers at one time")] = (
+        1024 * MIB
     )
-    queue_bytes: Annotated[
-        int, Field(ge=1, description="bytes of bodies and answers at one time")
-    ] = 1024 * MIB
-    queue_requests: Annotated[int, Field(ge=1, description="capacity of the queue in requests")] = (
-        64
-    )
+    queue_requests: Annotated[Count, Field(description="capacity of the queue in requests")] = 64
 
     deadline_s: Annotated[Seconds, Field(description="maximum seconds of a request")] = 600.0
     body_idle_s: Annotated[
         Seconds, Field(description="maximum seconds between two chunks of a body")
     ] = 30.0
-    max_connections: Annotated[
-        int, Field(ge=1, description="maximum number of open connections")
-    ] = 4096
+    max_connections: Annotated[Count, Field(description="maximum number of open connections")] = (
+        4096
+    )
     drain_delay_s: Annotated[
         float,
         Field(
@@ -155,15 +157,15 @@ class Settings(BaseSettings):
     database_url: Annotated[
         str | None, Field(description="postgresql://... for jobs instead of SQLite in jobs_dir")
     ] = None
-    jobs_queue: Annotated[
-        int, Field(ge=1, description="maximum number of queued and running jobs")
-    ] = 1000
-    jobs_bytes: Annotated[int, Field(ge=1, description="maximum bytes of inputs and results")] = (
+    jobs_queue: Annotated[Count, Field(description="maximum number of queued and running jobs")] = (
+        1000
+    )
+    jobs_bytes: Annotated[Count, Field(description="maximum bytes of inputs and results")] = (
         16 * 1024 * MIB
     )
-    jobs_running: Annotated[int, Field(ge=1, description="maximum number of running jobs")] = 2
+    jobs_running: Annotated[Count, Field(description="maximum number of running jobs")] = 2
     jobs_attempts: Annotated[
-        int, Field(ge=1, description="crashes of the service during one job before that job fails")
+        Count, Field(description="crashes of the service during one job before that job fails")
     ] = 5
     jobs_ttl_s: Annotated[Seconds, Field(description="seconds until a result is deleted")] = 86400.0
     jobs_deadline_s: Annotated[Seconds, Field(description="maximum seconds of a job")] = 3600.0
@@ -240,13 +242,15 @@ class Settings(BaseSettings):
             raise ValueError("is not a folder")
         return value
 
+    @field_validator("host")
+    @classmethod
+    def _host(cls, value: str) -> str:
+        return check_host(value)
+
     @field_validator("scheduler")
     @classmethod
     def _encrypted(cls, value: str | None) -> str | None:
-        # A scheduler executes any code it receives, so only mutual TLS is allowed.
-        if value is not None and not _ADDRESS.fullmatch(value):
-            raise ValueError("must be tls://host:port")
-        return value
+        return None if value is None else check_scheduler(value)
 
     @field_validator("database_url")
     @classmethod

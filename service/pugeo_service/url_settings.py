@@ -1,12 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that are URLs: the database of jobs, and the store of their files.
+"""Settings that are addresses: of the service, its scheduler, database and store.
 
 Libraries are imported where a URL is set: each worker loads the settings, and needs none of them.
 """
 
+import ipaddress
+import re
 from importlib.util import find_spec
 
-__all__ = ["check_database", "check_store"]
+__all__ = ["check_database", "check_host", "check_scheduler", "check_store"]
+
+_LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_NAME = re.compile(rf"{_LABEL}(\.{_LABEL})*\.?")
+_SCHEDULER = re.compile(r"tls://(?:\[([^]]*:[^]]*)\]|([^\[\]:/@]*)):([0-9]{1,5})")
+_MOST_BYTES_OF_A_NAME = 253
+
+
+def check_host(value: str) -> str:
+    """Return the address or name of a machine.
+
+    Raises:
+        ValueError: it has another form.
+    """
+    if not _is_host(value):
+        raise ValueError(
+            "must be an address or name of this machine, such as 127.0.0.1, or 0.0.0.0 or :: for "
+            "all; without a port"
+        )
+    return value
+
+
+def check_scheduler(value: str) -> str:
+    """Return the address of a scheduler.
+
+    Raises:
+        ValueError: it has another form. A scheduler executes any code it receives, so only mutual
+            TLS is allowed.
+    """
+    found = _SCHEDULER.fullmatch(value)
+    if found is None or not _is_host(found[1] or found[2] or "") or int(found[3]) > 65_535:
+        raise ValueError("must be tls://host:port")
+    return value
+
+
+def _is_host(value: str) -> bool:
+    try:
+        ipaddress.ip_address(value)
+    except ValueError:
+        return len(value) <= _MOST_BYTES_OF_A_NAME and _NAME.fullmatch(value) is not None
+    return True
 
 
 def check_database(value: str) -> str:

@@ -53,6 +53,25 @@ def test_a_worker_with_wrong_settings(
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["scheduler", "worker"])
+def test_a_host_of_another_machine(
+    command: str,
+    certificates: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """An address that is not of this machine is refused, before anything starts."""
+    for name, value in certificates.items():
+        monkeypatch.setenv(name, value)
+    if command == "scheduler":
+        status = cluster.scheduler_main({"scheduler": "tls://192.0.2.1:8786"})
+    else:
+        status = cluster.worker_main({"scheduler": "tls://127.0.0.1:8786"}, "192.0.2.1", None)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert status == 2
+    assert line.startswith("--host=192.0.2.1: must be an address or name of this machine")
+
+
 @pytest.mark.slow
 def test_a_scheduler_whose_port_is_taken(certificates: dict[str, str]) -> None:
     """Status 1, and a line that names the address."""

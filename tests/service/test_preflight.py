@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from pugeo_service import preflight
+from pugeo_service.server import main
 from pugeo_service.settings import Settings
 
 
@@ -43,6 +44,33 @@ def test_a_wrong_setting_ends_with_one_line(tmp_path: Path) -> None:
     assert done.stderr.splitlines()[1:] == []
     assert done.stderr.startswith("PUGEO_WORKER_MEMORY=abc: must be auto")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "192.0.2.1"])
+def test_a_host_of_another_machine(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, host: str
+) -> None:
+    """An address that is not of this machine, or a name of nothing, ends with one line."""
+    monkeypatch.setenv("PUGEO_SPOOL_DIR", str(tmp_path))
+    assert main({"host": host}) == 2
+    printed = capsys.readouterr()
+    (line,) = printed.err.splitlines()
+    assert line.startswith(f"PUGEO_HOST={host}: must be an address or name of this machine (")
+    assert printed.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hosts_of_this_machine() -> None:
+    """Names and addresses of it are taken, and those that stand for all."""
+    for host in ("localhost", "127.0.0.1", "0.0.0.0"):  # noqa: S104 - nothing listens
+        assert preflight.unusable_host(host, "PUGEO_HOST") is None
+
+
+def test_a_scheduler_without_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Port 0 is for the scheduler itself; nobody can reach it."""
+    settings = Settings()
+    monkeypatch.setitem(settings.__dict__, "scheduler", "tls://scheduler:0")
+    assert (preflight.unfit_machine(settings) or "").startswith("PUGEO_SCHEDULER=tls://scheduler:0")
 
 
 HIDE = """

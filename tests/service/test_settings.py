@@ -145,7 +145,41 @@ def test_certificates_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
         files[name].write_bytes(good)
 
 
-@pytest.mark.parametrize("address", ["tls://", "tls://host", "tls://host:", "tls://a:b@host:1"])
+@pytest.mark.parametrize("name", ["jobs_attempts", "jobs_queue", "queue_requests", "max_points"])
+@pytest.mark.parametrize("value", ["0", "-1", "abc", "", "1.5", str(1 << 63)])
+def test_counts_are_positive_and_fit_a_database(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    """A count is a whole number from 1, of no more bits than a database has."""
+    (line,) = refused(monkeypatch, name, value)
+    assert line.startswith(f"PUGEO_{name.upper()}={value}: should be ")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::", "fe80::1%eth0", "localhost", "a-b.example."])
+def test_hosts_that_are_taken(host: str) -> None:
+    """Addresses and names are taken as they are."""
+    assert Settings(host=host).host == host
+    written = f"[{host}]" if ":" in host else host
+    taken = f"tls://{written}:8786"
+    assert Settings._encrypted(taken) == taken
+
+
+@pytest.mark.parametrize(
+    "host", ["", "a b", "http://127.0.0.1", "127.0.0.1:80", "[::1]", "a" * 64, "a..b", "-a", "ä"]
+)
+def test_what_is_no_host(monkeypatch: pytest.MonkeyPatch, host: str) -> None:
+    """Everything else is refused, with what is allowed."""
+    (line,) = refused(monkeypatch, "host", host)
+    assert line.startswith(f"PUGEO_HOST={host}: must be an address or name of this machine")
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "tls://", "tls://host", "tls://host:", "tls://a:b@host:1", "tls://host:65536",
+        "tls://a b:1", "tls://[host:1", "tls://[]:1", "tls://[host]:1", "tls://::1:1",
+    ],
+)  # fmt: skip
 def test_a_scheduler_has_host_and_port(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     """An address without host or port is refused."""
     (line,) = refused(monkeypatch, "scheduler", address)

@@ -6,6 +6,7 @@ are served, and each failed accept is an error in the log.
 """
 
 import asyncio
+import contextlib
 import resource
 import time
 from typing import Any
@@ -24,15 +25,24 @@ _WANTED_DESCRIPTORS = 65_536
 LINGERING = 32
 
 
-def usable_descriptors() -> int:
-    """Raise the limit of descriptors of this process as far as it may be; return it."""
+def usable_descriptors(needed: int) -> int:
+    """Raise the limit of descriptors of this process as far as it may be; return it.
+
+    Args:
+        needed: the least number that is of use; more than these, and 65,536, are not asked for.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _WANTED_DESCRIPTORS if hard == resource.RLIM_INFINITY else hard
-    wanted = min(wanted, _WANTED_DESCRIPTORS)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-        return wanted
-    return _WANTED_DESCRIPTORS if soft == resource.RLIM_INFINITY else soft
+    infinite = resource.RLIM_INFINITY
+    most = max(needed, _WANTED_DESCRIPTORS)
+    # The system has a bound of its own, which may be below that of this process.
+    for asked in (most, _WANTED_DESCRIPTORS):
+        wanted = asked if hard == infinite else min(hard, asked)
+        if soft == infinite or soft >= wanted:
+            break
+        with contextlib.suppress(OSError, ValueError, OverflowError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+            return wanted
+    return most if soft == infinite else soft
 
 
 class _Refusals:

@@ -92,28 +92,67 @@ def _try(address: tuple[str, int]) -> bytes:
 
 def test_the_bound_leaves_descriptors_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound is below the number of descriptors, whatever the setting says."""
-    monkeypatch.setattr(server_module, "usable_descriptors", lambda: 1024)
+    monkeypatch.setattr(server_module, "usable_descriptors", lambda _: 1024)
     bound = server_module._connections(Settings(max_connections=100_000))
     assert 256 < bound < 1024 - 128
-    assert server_module._connections(Settings(max_connections=50)) == 50
-    monkeypatch.setattr(server_module, "usable_descriptors", lambda: 64)
-    assert server_module._connections(Settings()) == 16
+    assert server_module._connections(Settings(max_connections=5)) == 5
+
+
+@pytest.mark.parametrize(
+    "given", [{"queue_requests": 20_000}, {"jobs_running": 1 << 53}, {"max_connections": 1}]
+)
+def test_a_queue_needs_descriptors(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], given: dict[str, int]
+) -> None:
+    """Settings that leave fewer connections than requests of a full queue end with one line."""
+    asked: list[int] = []
+
+    def files(needed: int) -> int:
+        asked.append(needed)
+        return 1024 if "max_connections" not in given else 160
+
+    monkeypatch.setattr(server_module, "usable_descriptors", files)
+    assert server_module.main(given) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    settings = Settings(**given)  # type: ignore[arg-type]
+    assert line.startswith(
+        f"PUGEO_QUEUE_REQUESTS={settings.queue_requests}, "
+        f"PUGEO_JOBS_RUNNING={settings.jobs_running}: "
+    )
+    assert f"need {asked[0]:,} open files" in line
+    monkeypatch.setattr(server_module, "usable_descriptors", lambda needed: needed)
+    assert server_module._too_few_descriptors(settings) is None
+    least = min(settings.queue_requests, settings.max_connections)
+    assert server_module._connections(settings) == least
 
 
 def test_descriptors_are_raised_as_far_as_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The soft limit becomes the hard one, but no more than 65,536."""
+    """The soft limit becomes the hard one, but no more than 65,536 where so many suffice."""
     given: list[Any] = []
     monkeypatch.setattr(resource, "setrlimit", lambda _, limits: given.append(limits))
     infinite = resource.RLIM_INFINITY
-    for limits, expected in (
-        ((1024, 4096), 4096),
-        ((1024, infinite), 65_536),
-        ((4096, 4096), 4096),
-        ((infinite, infinite), 65_536),
+    for limits, needed, expected in (
+        ((1024, 4096), 100, 4096),
+        ((1024, infinite), 100, 65_536),
+        ((1024, 1 << 20), 100_000, 100_000),
+        ((4096, 4096), 100_000, 4096),
+        ((infinite, infinite), 100, 65_536),
     ):
         monkeypatch.setattr(resource, "getrlimit", lambda _, limits=limits: limits)
-        assert usable_descriptors() == expected
-    assert given == [(4096, 4096), (65_536, infinite)]
+        assert usable_descriptors(needed) == expected
+    assert given == [(4096, 4096), (65_536, infinite), (100_000, 1 << 20)]
+
+
+def test_a_bound_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it allows less than this process may have, the usual number is asked for."""
+
+    def bounded(_: int, limits: tuple[int, int]) -> None:
+        if limits[0] > 70_000:
+            raise ValueError
+
+    monkeypatch.setattr(resource, "setrlimit", bounded)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, resource.RLIM_INFINITY))
+    assert usable_descriptors(100_000) == 65_536
 
 
 def test_connections_to_the_metrics_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
