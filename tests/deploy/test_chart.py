@@ -304,12 +304,6 @@ def test_a_release_of_the_charts_name_is_short(chart: Any) -> None:
         ({"replicas": 3}, "replicas"),
         ({"front": {"replicas": 0}}, "replicas"),
         ({"front": {"readinessPath": "/"}}, "readinessPath"),
-        ({"settings": {"PUGEO_DATABASE_URL": "postgresql://secret"}}, "PUGEO_DATABASE_URL"),
-        ({"settings": {"PUGEO_WORKER_MEMORY": "2GB"}}, "PUGEO_WORKER_MEMORY"),
-        (
-            {"secretSettings": {"PUGEO_WORKER_MEMORY": {"name": "a", "key": "b"}}},
-            "PUGEO_WORKER_MEMORY",
-        ),
         ({"settings": {"MAX_POINTS": "1"}}, "MAX_POINTS"),
         ({"settings": {"PUGEO_MAX_POINTS": 1}}, "PUGEO_MAX_POINTS"),
         ({"keys": {"entries": ["ann:secret"]}}, "entries"),
@@ -340,12 +334,33 @@ def test_wrong_values_are_refused(chart: Any, values: dict[str, Any], named: str
             r"jobs\.persistence\.enabled=false",
         ),
         ({"ingress": {"enabled": True}}, r"ingress\.host"),
+        ({"settings": {"PUGEO_WEBHOOK_SECRET": "whsec_"}}, r"PUGEO_WEBHOOK_SECRET.*secretSettings"),
+        ({"settings": {"PUGEO_WORKER_MEMORY": "2GB"}}, r"PUGEO_WORKER_MEMORY.*worker\.resources"),
     ],
 )
 def test_values_that_do_not_go_together(chart: Any, values: dict[str, Any], named: str) -> None:
     """A release that would not work is refused, with the value that is missing."""
     with pytest.raises(helm.HelmRenderError, match=named):
         render(chart, values)
+
+
+def test_names_that_the_chart_sets_are_refused(
+    root: Path, chart: Any, everything: list[Manifest]
+) -> None:
+    """A name of the ConfigMap, of a Secret or of the image cannot be set otherwise."""
+    data = of(everything, "ConfigMap")["scans-pugeo-settings"]["data"]
+    (front,) = of(everything, "Deployment")["scans-pugeo-front"]["spec"]["template"]["spec"][
+        "containers"
+    ]
+    given = {*EVERYTHING["settings"], *EVERYTHING["secretSettings"]}
+    set_here = {*data, *(each["name"] for each in front["env"])} - given
+    image = re.findall(r"(PUGEO_\w+)=\S", (root / "Dockerfile").read_text("utf-8"))
+    names = {*set_here, *image, "PUGEO_ENGINE", "PUGEO_WORKERS"} - {"PUGEO_LOG_FORMAT"}
+    assert len(names) > 14
+    for name in sorted(names):
+        for where, value in (("settings", "1"), ("secretSettings", {"name": "a", "key": "b"})):
+            with pytest.raises(helm.HelmRenderError, match=rf"{where}\.{name} cannot be set"):
+                render(chart, {where: {name: value}})
 
 
 def test_versions_agree(root: Path, chart: Any) -> None:
