@@ -121,14 +121,15 @@ def create_app(
         version=__version__,
         summary="Point cloud upsampling: more points, on the surface, each with a normal.",
         lifespan=lifespan,
-        # FastAPI's own pages load their scripts from the internet.
+        # FastAPI's own pages load scripts from the internet, and its document takes any query.
+        openapi_url=None,
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
         telemetry=tracing.configuration(),
     )
     app.state.service = service
-    problems.install(app)
+    problems.install(app, "/openapi.json")
     # The last one added is the outermost.
     app.add_middleware(AnswerHead)
     # CORS is outside of keys: a preflight has no key.
@@ -137,13 +138,11 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    strict = [upsample, preview, job_routes, model_routes, health]
+    modules = [upsample, preview, job_routes, model_routes, health, docs, page]
     if service.settings.metrics_port is None:
-        strict.append(metrics)
-    for module in strict:
+        modules.append(metrics)
+    for module in modules:
         app.include_router(module.router, dependencies=[Depends(check_query)])
-    for other in (docs, page):
-        app.include_router(other.router)
     openapi.install(app)
     return app
 

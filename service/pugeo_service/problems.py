@@ -180,8 +180,13 @@ def internal_error(scope: Mapping[str, Any]) -> Response:
     return bug().response(scope)
 
 
-def install(app: FastAPI) -> None:
-    """Register handlers that turn all errors of routes and framework into problems."""
+def install(app: FastAPI, document: str | None = None) -> None:
+    """Register handlers that turn all errors of routes and framework into problems.
+
+    Args:
+        app: the application.
+        document: path of its route that describes all others, if it has one.
+    """
 
     @app.exception_handler(ProblemError)
     async def on_problem(request: Request, error: ProblemError) -> Response:
@@ -200,8 +205,8 @@ def install(app: FastAPI) -> None:
         code = _CODE.get(error.status_code, "http_error")
         detail, headers = error.detail, dict(error.headers or {})
         if error.status_code == 404:
-            if app.openapi_url:
-                others = f"{app.openapi_url} lists all routes"
+            if document is not None:
+                others = f"{document} lists all routes"
             else:
                 others = f"this port has {', '.join(app.openapi()['paths'])}"
             detail = f"There is no route {request.url.path}; {others}."

@@ -22,7 +22,9 @@ async def check_query(request: Request) -> None:
     given = Counter(name for name, _ in request.query_params.multi_items())
     if not given:
         return
-    operation = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
+    # Pages and their files are not in the document, and have no options.
+    operations = request.app.openapi()["paths"].get(request.scope["route"].path, {})
+    operation = operations.get(request.method.lower(), {})
     known = [each["name"] for each in operation.get("parameters", ()) if each["in"] == "query"]
     for name, count in given.items():
         short = name[:80]

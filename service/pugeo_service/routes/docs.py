@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``GET /docs``: interactive description of the API, without files from the internet."""
+"""``GET /docs``, an interactive description of the API without files from the internet.
+
+``GET /openapi.json`` is the same for programs.
+"""
 
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 
-from fastapi import APIRouter, HTTPException
-from starlette.responses import FileResponse, HTMLResponse, Response
+from fastapi import APIRouter, HTTPException, Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 
 __all__ = ["router"]
 
@@ -60,6 +63,12 @@ _ASSETS = {
     "swagger-ui.css": _Asset("text/css", _bundled() / "swagger-ui.css"),
     "swagger-ui-bundle.js": _Asset("text/javascript", _bundled() / "swagger-ui-bundle.js"),
 }
+
+
+@router.get("/openapi.json")
+async def document(request: Request) -> JSONResponse:
+    """Return the description of the API for programs."""
+    return JSONResponse(request.app.openapi())
 
 
 @router.get("/docs")

@@ -19,8 +19,12 @@ def client(tmp_path: Path) -> TestClient:
 
 @pytest.mark.parametrize("method", ["GET", "HEAD"])
 @pytest.mark.parametrize(
-    "path", ["/health", "/health/live", "/health/ready", "/metrics", "/models"]
-)
+    "path",
+    [
+        "/health", "/health/live", "/health/ready", "/metrics", "/models", "/docs", "/openapi.json",
+        "/docs/start.js", "/", "/assets/icon.svg",
+    ],
+)  # fmt: skip
 def test_a_route_without_options(client: TestClient, path: str, method: str) -> None:
     """A route without options refuses each name, and answers without one."""
     answer = client.request(method, f"{path}?verbose=1")
@@ -31,6 +35,18 @@ def test_a_route_without_options(client: TestClient, path: str, method: str) -> 
         assert "this route has none" in problem["detail"]
     # No worker is ready in a service that is not started.
     assert client.request(method, path).status_code == (503 if path == "/health/ready" else 200)
+
+
+def test_every_route_has_the_rule(client: TestClient) -> None:
+    """No route answers a request whose query has a name that nobody knows."""
+    document = client.get("/openapi.json").json()
+    pages = ("/docs", "/docs/{name}", "/openapi.json", "/", "/assets/{name}")
+    paths = document["paths"] | dict.fromkeys(pages, ("get",))
+    assert len(paths) > 12
+    for path, methods in paths.items():
+        for method in methods:
+            answer = client.request(method, path.replace("{name}", "standard") + "?nobody=1")
+            assert (answer.status_code, answer.json()["code"]) == (422, "bad_option"), path
 
 
 def test_the_port_of_metrics(tmp_path: Path) -> None:
