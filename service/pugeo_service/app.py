@@ -138,11 +138,13 @@ def create_app(
     if service.settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=service.settings.cors_origins, **CORS)
     app.add_middleware(RequestContext, telemetry=lambda: service.telemetry)
-    modules = [upsample, preview, job_routes, model_routes, health, docs, page]
+    modules = [upsample, preview, job_routes, model_routes, health, docs]
     if service.settings.metrics_port is None:
         modules.append(metrics)
     for module in modules:
         app.include_router(module.router, dependencies=[Depends(check_query)])
+    # Programs that pass on links to the page append names of their own.
+    app.include_router(page.router)
     openapi.install(app)
     return app
 

@@ -22,7 +22,7 @@ def client(tmp_path: Path) -> TestClient:
     "path",
     [
         "/health", "/health/live", "/health/ready", "/metrics", "/models", "/docs", "/openapi.json",
-        "/docs/start.js", "/", "/assets/icon.svg",
+        "/docs/start.js",
     ],
 )  # fmt: skip
 def test_a_route_without_options(client: TestClient, path: str, method: str) -> None:
@@ -40,13 +40,19 @@ def test_a_route_without_options(client: TestClient, path: str, method: str) -> 
 def test_every_route_has_the_rule(client: TestClient) -> None:
     """No route answers a request whose query has a name that nobody knows."""
     document = client.get("/openapi.json").json()
-    pages = ("/docs", "/docs/{name}", "/openapi.json", "/", "/assets/{name}")
+    pages = ("/docs", "/docs/{name}", "/openapi.json")
     paths = document["paths"] | dict.fromkeys(pages, ("get",))
     assert len(paths) > 12
     for path, methods in paths.items():
         for method in methods:
             answer = client.request(method, path.replace("{name}", "standard") + "?nobody=1")
             assert (answer.status_code, answer.json()["code"]) == (422, "bad_option"), path
+
+
+def test_the_page(client: TestClient) -> None:
+    """The page takes names that programs append to links."""
+    for path in ("/", "/assets/icon.svg"):
+        assert client.get(f"{path}?utm_source=mail").status_code == 200
 
 
 def test_the_port_of_metrics(tmp_path: Path) -> None:
