@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.centres import Centres, choose_centres
+from pugeo_model.geometry.flat_noise import is_flat_noise
 from pugeo_model.geometry.neighbours import (
     NEIGHBOURS,
     SPACING_NEIGHBOURS,
@@ -23,7 +24,8 @@ from pugeo_model.geometry.neighbours import (
 )
 from pugeo_model.geometry.partition import partition
 from pugeo_model.geometry.quadric_at_points import is_stacked, quadrics_at
-from pugeo_model.geometry.scale import measure_scale
+from pugeo_model.geometry.regions import nested_regions
+from pugeo_model.geometry.scale import least_surface_spacing, measure_scale
 from pugeo_model.geometry.strays import stray_points
 from pugeo_model.tuning import TUNING
 
@@ -141,9 +143,15 @@ def _is_plain(points: NDArray[np.float64]) -> bool:
         noisy = np.quantile(near.thickness[part], 0.2) > TUNING.averaged_noise
         lines = np.median(near.flatness[part]) < TUNING.surface_spread
         lattice = (
-            np.median(near.square[part]) > TUNING.lattice_order - 0.1 or is_stacked(near, part)
+            np.median(near.order[part]) > TUNING.lattice_order - 0.1 or is_stacked(near, part)
         ) and np.median(near.thickness[part]) > TUNING.lattice_noise
         suspicious += int(noisy or lines or lattice)
     if suspicious > _FEW_GROUPS * len(groups):
+        return False
+    sample = points[rows]
+    regions = nested_regions(sample)
+    apart = least_surface_spacing(sample, near, regions) > 0.0
+    apart |= is_flat_noise(sample, near, regions[min(1, len(regions) - 1)])
+    if apart.mean() > _FEW_GROUPS:
         return False
     return not stray_points(rows, points, neighbours, near.spacing, usual).any()

@@ -153,6 +153,10 @@ class Tuning(ScaleTuning):
         2.0, "candidates per output point", 1.5, 3.0,
         "candidates of charts with quotas; fewer leave the elimination no choice",
     )  # fmt: skip
+    least_oversampling: float = number(
+        1.4, "candidates per output point", 1.1, 2.0,
+        "the same where some charts have fewer candidates than their quota asks for",
+    )  # fmt: skip
     most_candidates: float = number(
         4.0, "times the candidates of the usual chart", 1.0, 8.0,
         "largest number of candidates per chart: more cost time for few sparse places",

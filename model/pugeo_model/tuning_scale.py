@@ -22,6 +22,26 @@ class ScaleTuning:
         "noise level of a region from which charts represent several points: below, detail is "
         "as fine as the noise (0.25 halves the error at 10,000 points and doubles it at 2,048)",
     )  # fmt: skip
+    averaged_alike: float = number(
+        0.8, "times that level", 0.6, 1.0,
+        "the same for all regions of a cloud of which one exceeds it",
+    )  # fmt: skip
+    flat_noise: float = number(
+        0.1, "spacings", 0.05, 0.3,
+        "the same in a flat region, where no detail is lost",
+    )  # fmt: skip
+    only_noise: float = number(
+        1.25, "times the usual noise", 1.1, 1.6,
+        "third principal spread up to which a region has no other shape than noise",
+    )  # fmt: skip
+    least_kurtosis: float = number(
+        2.2, "1", 1.9, 2.6,
+        "kurtosis of its heights from which they are noise: both sides of a thin plate have 1",
+    )  # fmt: skip
+    flat_merge: float = number(
+        2.0, "spacings of the points", 1.2, 3.0,
+        "least spacing of the charts there",
+    )  # fmt: skip
     stacked_order: float = number(
         0.75, "1", 0.5, 0.95,
         "share of the directions to nearest points along one axis from which frames are stacked",
@@ -37,6 +57,40 @@ class ScaleTuning:
     lattice_noise: float = number(
         0.05, "spacings", 0.02, 0.1,
         "residual from which a lattice is noisy",
+    )  # fmt: skip
+    flat_region: float = number(
+        0.15, "of the second principal spread", 0.05, 0.3,
+        "third principal spread up to which a region is flat and its normal is meaningful",
+    )  # fmt: skip
+    least_bias: float = number(
+        5.0, "degrees", 2.0, 10.0,
+        "angle between the mean normal of small neighbourhoods and that of their region, from "
+        "which the former are false",
+    )  # fmt: skip
+    bias_of_curved: float = number(
+        3.0, "times the third over the second spread", 1.6, 4.0,
+        "the same on curved regions: a smooth surface has at most 1.6 (cubic), K terraces have K",
+    )  # fmt: skip
+    least_step: float = number(
+        0.2, "spacings", 0.1, 0.5,
+        "depth step from which it matters: the charts average smaller ones",
+    )  # fmt: skip
+    step_of_flat: float = number(
+        0.6, "steps", 0.4, 1.0,
+        "third principal spread up to which a terraced region is flat: that of one step is 0.3",
+    )  # fmt: skip
+    terraces: float = number(
+        3.0, "terraces", 2.0, 5.0,
+        "terraces in the ball of a chart: fewer leave a slope, more flatten the shape",
+    )  # fmt: skip
+    step_merge: float = number(
+        2.0, "spacings of the points", 1.0, 3.0,
+        "least spacing of the charts of terraces",
+    )  # fmt: skip
+    across: float = number(
+        60.0, "degrees", 50.0, 80.0,
+        "median angle of the normals to the region's from which they are false; wires of a fence "
+        "have 45",
     )  # fmt: skip
     surface_spread: float = number(
         0.3, "of the first principal spread", 0.15, 0.5,

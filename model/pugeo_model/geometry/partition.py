@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.geometry.aabb import bounds
 
-__all__ = ["PATCH_SIZE", "partition"]
+__all__ = ["PATCH_SIZE", "divide", "partition"]
 
 PATCH_SIZE = 2048
 """Largest core of a patch: its rings add a fifth, and its arrays fit the processor's caches."""
@@ -23,7 +23,11 @@ def partition(points: NDArray[np.float64], size: int = PATCH_SIZE) -> list[NDArr
         Rows of each part, ascending, int32. The sizes differ by at most one, and the same points
         always give the same parts.
     """
-    total = -(-len(points) // size)
+    return divide(points, -(-len(points) // size))
+
+
+def divide(points: NDArray[np.float64], total: int) -> list[NDArray[np.int32]]:
+    """Divide points into so many parts; otherwise as `partition`."""
     finished: list[NDArray[np.int32]] = []
     pending = [(np.arange(len(points), dtype=np.int32), total)]
     while pending:

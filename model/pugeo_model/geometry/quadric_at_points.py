@@ -43,7 +43,7 @@ class QuadricsAtPoints:
         flatness: ``(n,)`` second principal spread over the first: 0 on a line, 1 on a disc.
         normal: ``(n, 3)`` of the quadric, of any sign.
         direction: ``(n, 3)`` unit vector to the nearest point.
-        square: ``(n,)`` order of the four nearest: 1 on a square lattice, 0 on a line.
+        order: ``(n,)`` of the nearest: 1 on a square or hexagonal lattice, 0 on a line.
     """
 
     spacing: NDArray[np.float64]
@@ -51,7 +51,7 @@ class QuadricsAtPoints:
     flatness: NDArray[np.float64]
     normal: NDArray[np.float64]
     direction: NDArray[np.float64]
-    square: NDArray[np.float64]
+    order: NDArray[np.float64]
 
 
 def quadrics_at(
@@ -68,10 +68,10 @@ def quadrics_at(
         neighbours, distances: ``(n, k)`` of the nearest, in order.
     """
     spacing = np.maximum(mean_spacing(distances).astype(np.float64), 1e-12)
-    thickness, flatness, normal, square = _fit_at(rows, points, neighbours, distances)
+    thickness, flatness, normal, order = _fit_at(rows, points, neighbours, distances)
     direction = points[neighbours[:, 0]] - points[rows]
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
-    return QuadricsAtPoints(spacing, thickness, flatness, normal, direction, square)
+    return QuadricsAtPoints(spacing, thickness, flatness, normal, direction, order)
 
 
 def are_stacked(near: QuadricsAtPoints, neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -114,7 +114,7 @@ def is_stacked(near: QuadricsAtPoints, part: slice) -> bool:
 @njit(cache=True, nogil=True)
 def _fit_at(rows, points, neighbours, distances):  # type: ignore[no-untyped-def]
     count = min(_NEAREST, neighbours.shape[1])
-    thickness, flatness, square = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
+    thickness, flatness, order = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
     normal = np.empty((len(rows), 3))
     local = np.empty((3, count + 1))
     axes, work, out = np.zeros((3, 3)), np.zeros((8, 6)), np.empty(FIT)
@@ -133,32 +133,50 @@ def _fit_at(rows, points, neighbours, distances):  # type: ignore[no-untyped-def
         thickness[i] = out[THICKNESS] * radius / max(spacing, 1e-300)
         flatness[i] = out[SPREAD_2] / max(out[SPREAD_1], 1e-300)
         normal[i, 0], normal[i, 1], normal[i, 2] = out[0], out[1], out[2]
-        square[i] = _square_order(own, points, neighbours[i], axes)
-    return thickness, flatness, normal, square
+        order[i] = _lattice_order(own, points, neighbours[i, :count], axes)
+    return thickness, flatness, normal, order
 
 
 @njit(cache=True, nogil=True)
-def _square_order(own, points, near, axes):  # type: ignore[no-untyped-def]
-    """Fourfold order of the directions to the four nearest, less their twofold order.
+def _lattice_order(own, points, near, axes):  # type: ignore[no-untyped-def]
+    """Order of the directions to the four nearest, or six if larger, less their twofold order.
 
-    The order is the magnitude of the mean of ``exp(4 i angle)``, as of bonds in crystals (Nelson
-    and Halperin 1979).
+    The order of n is the magnitude of the mean of ``exp(n i angle)``, as of bonds in crystals
+    (Nelson and Halperin 1979). The nearest are those along the surface, whatever the noise.
     """
-    real = imaginary = along = across = 0.0
-    for j in range(4):
-        u = v = 0.0
+    count = len(near)
+    u, v, squared = np.empty(count), np.empty(count), np.empty(count)
+    for j in range(count):
+        u[j] = v[j] = 0.0
         for a in range(3):
             step = points[near[j], a] - points[own, a]
-            u += axes[0, a] * step
-            v += axes[1, a] * step
-        squared = max(u * u + v * v, 1e-300)
-        u, v = (u * u - v * v) / squared, 2.0 * u * v / squared
-        along += u
-        across += v
-        real += u * u - v * v
-        imaginary += 2.0 * u * v
-    fourfold = np.sqrt(real * real + imaginary * imaginary)
-    return 0.25 * (fourfold - np.sqrt(along * along + across * across))
+            u[j] += axes[0, a] * step
+            v[j] += axes[1, a] * step
+        squared[j] = max(u[j] * u[j] + v[j] * v[j], 1e-300)
+    order = 0.0
+    along = across = real = imaginary = real_6 = imaginary_6 = 0.0
+    for rank in range(6):
+        least = rank
+        for j in range(rank + 1, count):
+            if squared[j] < squared[least]:
+                least = j
+        u[rank], u[least] = u[least], u[rank]
+        v[rank], v[least] = v[least], v[rank]
+        squared[rank], squared[least] = squared[least], squared[rank]
+        # The doubled angle, then its double and its triple.
+        c = (u[rank] * u[rank] - v[rank] * v[rank]) / squared[rank]
+        s = 2.0 * u[rank] * v[rank] / squared[rank]
+        along += c
+        across += s
+        real += c * c - s * s
+        imaginary += 2.0 * c * s
+        real_6 += c * (c * c - 3.0 * s * s)
+        imaginary_6 += s * (3.0 * c * c - s * s)
+        if rank == 3:
+            fourfold = np.sqrt(real * real + imaginary * imaginary)
+            order = 0.25 * (fourfold - np.sqrt(along * along + across * across))
+    sixfold = np.sqrt(real_6 * real_6 + imaginary_6 * imaginary_6)
+    return max(order, (sixfold - np.sqrt(along * along + across * across)) / 6.0)
 
 
 @njit(cache=True, nogil=True)

@@ -13,10 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.biased_normals import least_unbiased_spacing
+from pugeo_model.geometry.depth_steps import find_depth_steps
+from pugeo_model.geometry.flat_noise import is_flat_noise
 from pugeo_model.geometry.grid import rows_within, sort_into_grid, thinned_grid
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.geometry.partition import partition
-from pugeo_model.geometry.quadric_at_points import are_stacked, quadrics_at, ranked_neighbour
+from pugeo_model.geometry.quadric_at_points import (
+    QuadricsAtPoints,
+    are_stacked,
+    quadrics_at,
+    ranked_neighbour,
+)
+from pugeo_model.geometry.regions import Regions, nested_regions
 from pugeo_model.geometry.robust_quadric import (
     FIT,
     HEIGHT,
@@ -29,13 +38,15 @@ from pugeo_model.geometry.robust_quadric import (
 from pugeo_model.kernel_compiler import njit
 from pugeo_model.tuning import TUNING
 
-__all__ = ["LocalScale", "measure_scale"]
+__all__ = ["LocalScale", "least_surface_spacing", "measure_scale"]
 
 _REGION = 2048  # points of a region in which noise is told from detail
 _WIDE_REGION = 8192  # points of a region in which noise is about the same
 _STEP = np.sqrt(2.0)
-_LARGEST_STEPS = 64.0  # spacings up to which a surface is searched
-_LARGEST = 0.1  # of the longest side of the cloud
+_LARGEST_STEPS = 1024.0  # spacings up to which a surface is searched
+_LARGEST = 0.4  # of the longest side of the cloud
+_LARGE = 0.1  # of the longest side, from which a thin part may look like noise
+_FLAT_LARGE = 0.85  # least second spread over the first from there on
 _FEWEST = 12  # points needed for a fit
 _PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
 _BUFFER = 1024  # points of a ball that are used at most
@@ -79,31 +90,71 @@ def measure_scale(
     noise_level = _regional_noise(points, near.thickness)
     flatness = ranked_neighbour(near.flatness, neighbours, 16)
     # On a lattice, and in stacked frames, a fit to few points does not show the noise.
-    lattice = ranked_neighbour(near.square, neighbours, 16) > TUNING.lattice_order
+    lattice = ranked_neighbour(near.order, neighbours, 16) > TUNING.lattice_order
     lattice |= are_stacked(near, neighbours)
     lattice &= ranked_neighbour(near.thickness, neighbours, 4) > TUNING.lattice_noise
     own = near.spacing
     noise = np.minimum(near.thickness, 1.6 * noise_level) * own
-    noisy = (noise_level > TUNING.averaged_noise) | lattice
-    coarse = noisy | (flatness < TUNING.surface_spread)
+    regions = nested_regions(points)
+    least = least_surface_spacing(points, near, regions)
+    very_noisy = noise_level > _bound_of_noise(noise_level)
+    flat = is_flat_noise(points, near, regions[min(1, len(regions) - 1)])
+    flat &= ~very_noisy & (least == 0.0)
+    noisy = very_noisy | lattice | flat
+    line = flatness < TUNING.surface_spread
+    coarse = noisy | line | (least > 0.0)
     spacing = own.copy()
     curve = np.zeros(len(points), np.bool_)
     if coarse.any():
-        found, thickness = _search(points, own, coarse)
-        _propagate_scale(points, noisy & (found == 0.0), found, thickness)
+        found, thickness = _search(points, own, coarse & (least == 0.0), _FLAT_LARGE)
+        if least.any():
+            # These regions are known to be flat.
+            more, thick = _search(points, np.maximum(own, least), least > 0.0, _FLAT)
+            found, thickness = found + more, thickness + thick
+        _propagate_scale(points, (noisy | (least > 0.0)) & (found == 0.0), found, thickness)
         if noisy.any():
             # A neighbourhood that is thin by chance must not remain a single noisy point.
             usual = ranked_neighbour(ranked_neighbour(found, neighbours, 16), neighbours, 16)
             _bound_by_region(points, noisy, usual)
             _bound_by_region(points, noisy, thickness)
-            least = np.where(lattice, TUNING.lattice_merge, TUNING.least_merge) * own
-            found[noisy] = np.maximum(usual, least)[noisy]
-        curve = coarse & (found == 0.0)
+            merged = np.where(lattice, TUNING.lattice_merge, TUNING.least_merge) * own
+            merged[flat] = TUNING.flat_merge * own[flat]
+            found[noisy] = np.maximum(usual, merged)[noisy]
+            found = np.where(found > 0.0, np.maximum(found, least), 0.0)
+        curve = (noisy | line) & (found == 0.0)
         coarse = coarse & (found > 1.1 * own)
         spacing[coarse] = found[coarse]
         noise[coarse] = thickness[coarse]
     radius = np.maximum(TUNING.chart_ball * spacing, TUNING.least_chart_ball * own)
     return LocalScale(spacing, radius, coarse, curve, noise)
+
+
+def least_surface_spacing(
+    points: NDArray[np.float64], near: QuadricsAtPoints, regions: list[Regions]
+) -> NDArray[np.float64]:
+    """Least spacing of charts ``(M,)`` where a larger region shows that it is needed, else 0.
+
+    Args:
+        points: ``(M, 3)``, unit scale; all points or a sample.
+        near: of these points.
+        regions: that contain the points, from small to large.
+    """
+    least = least_unbiased_spacing(near.normal, near.flatness >= TUNING.surface_spread, regions)
+    steps = find_depth_steps(points, near, regions)
+    if steps is None:
+        return least
+    stepped = steps.least_spacing(near.spacing, regions)
+    return np.where(stepped > 0.0, stepped, least)
+
+
+def _bound_of_noise(level: NDArray[np.float64]) -> float:
+    """Noise level from which charts represent several points.
+
+    It is lower if some region exceeds it, so that a cloud with the same noise everywhere is treated
+    alike.
+    """
+    bound = TUNING.averaged_noise
+    return bound * (TUNING.averaged_alike if level.max() > bound else 1.0)
 
 
 def _regional_noise(
@@ -120,13 +171,28 @@ def _regional_noise(
 
 
 def _search(
-    points: NDArray[np.float64], own: NDArray[np.float64], wanted: NDArray[np.bool_]
+    points: NDArray[np.float64],
+    own: NDArray[np.float64],
+    wanted: NDArray[np.bool_],
+    wide_large: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Spacing of charts at the wanted points, 0 if none is found, and the noise there."""
+    """Search the scale at the wanted points.
+
+    Args:
+        points: ``(M, 3)``.
+        own: ``(M,)`` spacing from which on a scale is searched.
+        wanted: ``(M,)`` points.
+        wide_large: least second spread over the first at large scales.
+
+    Returns:
+        Spacing of charts ``(M,)``, 0 if none is found, and the noise there ``(M,)``.
+    """
     found, thickness = np.zeros(len(points)), np.zeros(len(points))
     # A scale counts if the next one is a surface too: few points are often thin by chance.
     before, before_thickness = np.zeros(len(points)), np.zeros(len(points))
     left = np.flatnonzero(wanted)
+    if not len(left):
+        return found, thickness
     size = float(np.quantile(own[left], 0.02)) * _STEP
     while len(left) and size < _LARGEST:
         active = left[(own[left] * _STEP <= size * 1.01) & (own[left] * _LARGEST_STEPS >= size)]
@@ -139,6 +205,7 @@ def _search(
                 active[places.order].astype(np.int64),
                 places.keys,
                 size,
+                _FLAT if size < _LARGE else wide_large,
                 (ball.low, ball.size, ball.keys, ball.order),
                 now,
                 now_thickness,
@@ -183,7 +250,7 @@ def _propagate_scale(
 
 
 @njit(cache=True, nogil=True)
-def _fit_at_size(points, rows, keys, size, ball, found, thickness):  # type: ignore[no-untyped-def]
+def _fit_at_size(points, rows, keys, size, wide, ball, found, thickness):  # type: ignore[no-untyped-def]
     """Fit a quadric around the points of each cell; write the scale where they are a surface."""
     low, radius, ball_keys, ball_order = ball
     near = np.empty(_BUFFER, dtype=np.int32)
@@ -210,7 +277,7 @@ def _fit_at_size(points, rows, keys, size, ball, found, thickness):  # type: ign
             weights, heights, flat = np.empty(count), np.empty(count), np.empty(count)
             fit_robust_quadric(local, 1, 0.0, axes, work, weights, heights, flat, out)
             thick = out[THICKNESS] * radius
-            surface = out[SPREAD_2] >= _FLAT * out[SPREAD_1]
+            surface = out[SPREAD_2] >= wide * out[SPREAD_1]
             thin = thick <= _THIN * size
             belongs = abs(out[HEIGHT]) * radius <= 3.0 * thick + 0.1 * size
             if surface and thin and belongs and out[KEPT] > 0.5:

@@ -16,6 +16,7 @@ from pugeo_model.tuning import TUNING
 __all__ = ["area_quotas", "candidates_per_chart", "chosen_candidates", "count_quotas"]
 
 _LEAST, _MOST = 1 / 16, 16.0  # times the usual number of points
+_ROUNDS_OF_SHARES = 16  # each fills more charts; the last leaves at most a small rest
 
 
 def area_quotas(spacing: NDArray[np.float32], usual_square: float) -> NDArray[np.float64]:
@@ -72,7 +73,7 @@ def chosen_candidates(
     Returns:
         Indices among ``charted * candidates``, ascending.
     """
-    share = quotas * (TUNING.quota_oversampling * wanted / total)
+    share = _filled(quotas * (TUNING.quota_oversampling * wanted / total), candidates, wanted)
     # Fractions are carried over to the next chart, which is nearby.
     ends = np.floor(np.cumsum(share)).astype(np.int64)
     count = np.minimum(np.diff(ends, prepend=0), candidates)
@@ -80,3 +81,18 @@ def chosen_candidates(
     turn = np.arange(len(chart)) - np.repeat(np.cumsum(count) - count, count)
     chosen: NDArray[np.int64] = chart * candidates + turn * candidates // count[chart]
     return chosen
+
+
+def _filled(share: NDArray[np.float64], most: int, wanted: int) -> NDArray[np.float64]:
+    """Raise the shares of charts until charts with too large a share are made up for.
+
+    A chart that stands for many input points may have a share beyond its candidates.
+    """
+    least = TUNING.least_oversampling * wanted
+    for _ in range(_ROUNDS_OF_SHARES):
+        full = share >= most
+        lacking = least - np.minimum(share, most).sum()
+        if lacking <= 0.0 or full.all():
+            break
+        share = np.where(full, share, share * (1.0 + lacking / share[~full].sum()))
+    return share
