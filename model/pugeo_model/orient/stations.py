@@ -23,22 +23,26 @@ __all__ = [
 ]
 
 _ROUNDS = 2
-_NUMBERS = ("scan", "station")  # names of scalars that hold the station of each point
+_NUMBERS = frozenset({"scan", "station", "scanner", "scan_id", "station_id"})
 
 
 def station_numbers(cloud: Cloud, count: int) -> NDArray[np.int64] | None:
     """Return the station that recorded each point ``(M,)``, ``None`` if the cloud does not say.
 
     Args:
-        cloud: may have a scalar ``scan`` or ``station`` with values in ``0..count-1``.
+        cloud: may have a scalar named ``scan``, ``station``, ``scanner``, ``scan_id`` or
+            ``station_id``, in any case of letters, with numbers from 0 or from 1 on.
         count: number of stations.
     """
-    for name in _NUMBERS:
-        values = cloud.scalars.get(name)
-        if values is None or not np.isfinite(values).all():
+    for name, values in cloud.scalars.items():
+        if name.lower() not in _NUMBERS or not np.isfinite(values).all():
             continue
         numbers = values.astype(np.int64)
-        if (numbers == values).all() and numbers.min() >= 0 and numbers.max() < count:
+        if (numbers != values).any():
+            continue
+        if numbers.min() >= 1 and numbers.max() == count:
+            numbers = numbers - 1
+        if numbers.min() >= 0 and numbers.max() < count:
             return numbers
     return None
 
