@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The harnesses notice what they are there to notice; a small dose of each is part of every run."""
 
+import argparse
 import asyncio
 import io
 import itertools
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("benchmarks", reason="not part of a source distribution")
 
-from benchmarks.reliability import disk, faults, floods, hostile, trial
+from benchmarks.reliability import disk, faults, floods, fuzz, hostile, trial
 from benchmarks.reliability.clouds import Book, ask
 from benchmarks.reliability.corpus import corpus
 from benchmarks.reliability.http import faults_in
@@ -236,3 +237,18 @@ def test_a_small_disk_is_full_and_has_room_again() -> None:
         (folder / "filler").unlink()
         (folder / "more").write_bytes(bytes(100_000))
     assert not folder.exists()
+
+
+def test_traces_of_a_library_do_not_count_as_growth(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The process that reads prints none, whatever the shell has set."""
+    monkeypatch.setenv("RUST_BACKTRACE", "1")
+    seen = tmp_path / "seen"
+    script = f"#!/bin/sh\necho $RUST_BACKTRACE > {seen}\nexit 1\n"
+    (tmp_path / "python").write_text(script, "utf-8")
+    (tmp_path / "python").chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    options = argparse.Namespace(replay=None, inputs=1, seed=1, kinds="", out=tmp_path)
+    assert fuzz.main(options) == 1
+    assert seen.read_text("utf-8") == "0\n"
