@@ -121,6 +121,10 @@ class ScaleTuning:
         1.5, "spacings of the points", 1.0, 2.0,
         "least spacing of the charts of a noisy lattice",
     )  # fmt: skip
+    grading: float = number(
+        0.3, "1", 0.1, 0.6,
+        "growth of the spacing of charts with the distance from finer ones",
+    )  # fmt: skip
     centre_distance: float = number(
         0.72, "spacings of the charts", 0.6, 0.85,
         "least distance of centres; their mean distance is then about a spacing",

@@ -75,7 +75,9 @@ def choose_centres(
         places, spacing, radius, noise, count = _cell_means(points, scale, coarse)
         chosen = _spaced_apart(places, spacing, count)
         moved = _project(points, _lloyd(places[chosen], places), radius[chosen], noise[chosen])
-        centres = np.concatenate([centres, _bounded(points, moved, spacing[chosen])])
+        centres = np.concatenate(
+            [centres, _bounded(points, moved, radius[chosen] / TUNING.chart_ball)]
+        )
     of_point = np.empty(len(points), dtype=np.int32)
     of_point[single] = np.arange(len(single))
     rest = np.flatnonzero(scale.coarse | left_out)
