@@ -32,7 +32,8 @@ def _part(points: NDArray[np.float64]) -> NDArray[np.float64]:
     points = points[np.isfinite(points).all(axis=1)]
     half = _SIDE / 2.0 * np.ptp(points, axis=0).max()
     around = np.abs(points - np.median(points, axis=0)) < half
-    return points[around.all(axis=1)]
+    part: NDArray[np.float64] = points[around.all(axis=1)]
+    return part
 
 
 def _depth_camera(upsampler: Upsampler, file: Path) -> Shown:
