@@ -122,7 +122,7 @@ class ScaleTuning:
         "least spacing of the charts of a noisy lattice",
     )  # fmt: skip
     grading: float = number(
-        0.3, "1", 0.1, 0.6,
+        0.6, "1", 0.3, 1.0,
         "growth of the spacing of charts with the distance from finer ones",
     )  # fmt: skip
     centre_distance: float = number(

@@ -72,12 +72,10 @@ def choose_centres(
     single = np.flatnonzero(~scale.coarse & ~left_out)
     centres = points[single]
     if len(coarse):
-        places, spacing, radius, noise, count = _cell_means(points, scale, coarse)
+        places, spacing, wanted, radius, noise, count = _cell_means(points, scale, coarse)
         chosen = _spaced_apart(places, spacing, count)
         moved = _project(points, _lloyd(places[chosen], places), radius[chosen], noise[chosen])
-        centres = np.concatenate(
-            [centres, _bounded(points, moved, radius[chosen] / TUNING.chart_ball)]
-        )
+        centres = np.concatenate([centres, _bounded(points, moved, wanted[chosen])])
     of_point = np.empty(len(points), dtype=np.int32)
     of_point[single] = np.arange(len(single))
     rest = np.flatnonzero(scale.coarse | left_out)
@@ -90,7 +88,7 @@ def choose_centres(
 def _cell_means(
     points: NDArray[np.float64], scale: LocalScale, rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], ...]:
-    """Means over the points of small cells: places, spacing, radius, noise; and their number."""
+    """Means over the points of small cells: places, and the scale there; and their number."""
     spacing = scale.spacing[rows]
     least = float(spacing.min())
     parts = []
@@ -101,7 +99,7 @@ def _cell_means(
         some = some[grid.order]
         starts = np.flatnonzero(np.append(True, grid.keys[1:] != grid.keys[:-1]))
         count = np.diff(np.append(starts, len(some)))
-        values = (scale.spacing, scale.radius, scale.noise)
+        values = (scale.spacing, scale.wanted, scale.radius, scale.noise)
         means = [np.add.reduceat(value[some], starts) / count for value in values]
         places = np.add.reduceat(points[some], starts) / count[:, None]
         parts.append((places, *means, count))

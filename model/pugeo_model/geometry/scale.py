@@ -47,6 +47,7 @@ _LARGEST_STEPS = 1024.0  # spacings up to which a surface is searched
 _LARGEST = 0.4  # of the longest side of the cloud
 _LARGE = 0.1  # of the longest side, from which a thin part may look like noise
 _FLAT_LARGE = 0.85  # least second spread over the first from there on
+_NARROW = 2.0  # spacings of the points: narrower charts leave no holes
 _MOSTLY = 0.5  # share of the points that need it, from which a large scale counts
 _FEWEST = 12  # points needed for a fit
 _PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
@@ -63,14 +64,16 @@ class LocalScale:
     Attributes:
         spacing: ``(M,)`` float64 spacing that charts should have: that of the points themselves
             unless ``coarse``; unit scale.
-        radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to; it may be
-            many spacings near finer charts.
+        wanted: ``(M,)`` float64 the same without regard to finer charts nearby.
+        radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to, in
+            proportion to ``wanted``.
         coarse: ``(M,)`` bool, several points are represented by one chart.
         curve: ``(M,)`` bool, at no scale the points are a surface: a wire, one scan line.
         noise: ``(M,)`` float64 standard deviation of the points along the normal, unit scale.
     """
 
     spacing: NDArray[np.float64]
+    wanted: NDArray[np.float64]
     radius: NDArray[np.float64]
     coarse: NDArray[np.bool_]
     curve: NDArray[np.bool_]
@@ -119,7 +122,6 @@ def measure_scale(
             more, thick = _search(points, np.maximum(own, least), least > 0.0, _FLAT)
             found, thickness = found + more, thickness + thick
         _propagate_scale(points, (noisy | (least > 0.0)) & (found == 0.0), found, thickness)
-        _propagate_within_charts(points, line & (found == 0.0), found, thickness)
         if noisy.any():
             # A neighbourhood that is thin by chance must not remain a single noisy point.
             usual = ranked_neighbour(ranked_neighbour(found, neighbours, 16), neighbours, 16)
@@ -134,7 +136,8 @@ def measure_scale(
         spacing[coarse] = found[coarse]
         noise[coarse] = thickness[coarse]
     radius = np.maximum(TUNING.chart_ball * spacing, TUNING.least_chart_ball * own)
-    return LocalScale(_graded(points, own, spacing, coarse, curve), radius, coarse, curve, noise)
+    graded = _graded(points, own, spacing, coarse, curve)
+    return LocalScale(graded, spacing, radius, coarse, curve, noise)
 
 
 def _graded(
@@ -150,16 +153,16 @@ def _graded(
     holes between them. Points on a curve do not count.
     """
     graded = spacing.copy()
-    bound = 1.0
+    bound = _NARROW
     while True:
         wider = coarse & (graded > bound * own)
         finer = ~wider & ~curve
         if not wider.any() or not finer.any():
-            return np.maximum(graded, own)
+            return graded
         rows, others = np.flatnonzero(wider), np.flatnonzero(finer)
         distances, near = knn(cKDTree(points[others]), points[rows], 1)
         limit = graded[others[near[:, 0]]] + TUNING.grading * distances[:, 0]
-        graded[rows] = np.minimum(graded[rows], limit)
+        graded[rows] = np.minimum(graded[rows], np.maximum(limit, _NARROW * own[rows]))
         bound *= 2.0
 
 
@@ -281,23 +284,6 @@ def _propagate_scale(
     near = known[knn(cKDTree(points[known]), points[rows], min(_DONORS, len(known)))[1]]
     found[rows] = np.median(found[near], axis=1)
     thickness[rows] = np.median(thickness[near], axis=1)
-
-
-def _propagate_within_charts(
-    points: NDArray[np.float64],
-    lacking: NDArray[np.bool_],
-    found: NDArray[np.float64],
-    thickness: NDArray[np.float64],
-) -> None:
-    """Give points on lines the scale of the surface that they lie in: not those of a wire."""
-    known, rows = np.flatnonzero(found > 0.0), np.flatnonzero(lacking)
-    if not len(rows) or len(known) < _DONORS:
-        return
-    distances, near = knn(cKDTree(points[known]), points[rows], _DONORS)
-    scale = np.median(found[known[near]], axis=1)
-    inside = distances[:, -1] <= scale
-    found[rows[inside]] = scale[inside]
-    thickness[rows[inside]] = np.median(thickness[known[near[inside]]], axis=1)
 
 
 @njit(cache=True, nogil=True)
