@@ -100,6 +100,22 @@ class ScaleTuning:
         0.28, "spacings of the charts", 0.2, 0.34,
         "noise that charts are left with: a larger one keeps more detail and more noise",
     )  # fmt: skip
+    largest_scale: float = number(
+        0.4, "longest sides", 0.1, 0.5,
+        "spacing of charts up to which a surface is searched",
+    )  # fmt: skip
+    large_scale: float = number(
+        0.1, "longest sides", 0.05, 0.2,
+        "scale from which a thin part of the shape may look like noise",
+    )  # fmt: skip
+    round_ball: float = number(
+        0.85, "of the first principal spread", 0.3, 0.95,
+        "second principal spread from which such a scale counts",
+    )  # fmt: skip
+    mostly_large: float = number(
+        0.5, "of the points", 0.2, 0.8,
+        "share of the noisy points with such a scale, below which it does not count",
+    )  # fmt: skip
     scale_ball: float = number(
         2.0, "spacings of the charts", 1.6, 2.4,
         "radius of the ball in which noise is measured; at 1.6 a quarter of the points of a "
@@ -124,6 +140,10 @@ class ScaleTuning:
     grading: float = number(
         0.6, "1", 0.3, 1.0,
         "growth of the spacing of charts with the distance from finer ones",
+    )  # fmt: skip
+    narrow_charts: float = number(
+        2.0, "spacings of the points", 1.0, 3.0,
+        "spacing of charts up to which it need not grow slowly: at 3 a wall has holes",
     )  # fmt: skip
     centre_distance: float = number(
         0.72, "spacings of the charts", 0.6, 0.85,

@@ -44,11 +44,6 @@ _REGION = 2048  # points of a region in which noise is told from detail
 _WIDE_REGION = 8192  # points of a region in which noise is about the same
 _STEP = np.sqrt(2.0)
 _LARGEST_STEPS = 1024.0  # spacings up to which a surface is searched
-_LARGEST = 0.4  # of the longest side of the cloud
-_LARGE = 0.1  # of the longest side, from which a thin part may look like noise
-_FLAT_LARGE = 0.85  # least second spread over the first from there on
-_NARROW = 2.0  # spacings of the points: narrower charts leave no holes
-_MOSTLY = 0.5  # share of the points that need it, from which a large scale counts
 _FEWEST = 12  # points needed for a fit
 _PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
 _BUFFER = 1024  # points of a ball that are used at most
@@ -112,9 +107,9 @@ def measure_scale(
     curve = np.zeros(len(points), np.bool_)
     if coarse.any():
         searched = coarse & (least == 0.0)
-        found, thickness = _search(points, own, searched, _FLAT_LARGE)
-        large = found > _LARGE
-        if np.count_nonzero(large) < _MOSTLY * np.count_nonzero(searched):
+        found, thickness = _search(points, own, searched, TUNING.round_ball)
+        large = found > TUNING.large_scale
+        if np.count_nonzero(large) < TUNING.mostly_large * np.count_nonzero(searched):
             # A few such points are thin parts of the shape, which a large ball takes for a sheet.
             found[large] = thickness[large] = 0.0
         if least.any():
@@ -153,7 +148,7 @@ def _graded(
     holes between them. Points on a curve do not count.
     """
     graded = spacing.copy()
-    bound = _NARROW
+    bound = TUNING.narrow_charts
     while True:
         wider = coarse & (graded > bound * own)
         finer = ~wider & ~curve
@@ -162,7 +157,7 @@ def _graded(
         rows, others = np.flatnonzero(wider), np.flatnonzero(finer)
         distances, near = knn(cKDTree(points[others]), points[rows], 1)
         limit = graded[others[near[:, 0]]] + TUNING.grading * distances[:, 0]
-        graded[rows] = np.minimum(graded[rows], np.maximum(limit, _NARROW * own[rows]))
+        graded[rows] = np.minimum(graded[rows], np.maximum(limit, TUNING.narrow_charts * own[rows]))
         bound *= 2.0
 
 
@@ -231,7 +226,7 @@ def _search(
     if not len(left):
         return found, thickness
     size = float(np.quantile(own[left], 0.02)) * _STEP
-    while len(left) and size < _LARGEST:
+    while len(left) and size < TUNING.largest_scale:
         active = left[(own[left] * _STEP <= size * 1.01) & (own[left] * _LARGEST_STEPS >= size)]
         if len(active):
             now, now_thickness = np.zeros(len(points)), np.zeros(len(points))
@@ -242,7 +237,7 @@ def _search(
                 active[places.order].astype(np.int64),
                 places.keys,
                 size,
-                _FLAT if size < _LARGE else wide_large,
+                _FLAT if size < TUNING.large_scale else wide_large,
                 (ball.low, ball.size, ball.keys, ball.order),
                 now,
                 now_thickness,
