@@ -96,19 +96,27 @@ def map_in_threads(call: Callable[[T], R], items: Iterable[T], concurrency: int)
         except BaseException as error:  # noqa: BLE001 - raised where the result is taken
             future.set_exception(error)
 
-    def start(item: T) -> "Future[R]":
+    def start(item: T) -> None:
         future: Future[R] = Future()
+        # Before the thread starts, so that an interruption in between waits for it too.
+        running.append(future)
         # A daemon: a call that cannot be interrupted must not keep the program from ending.
         Thread(target=run, args=(item, future), name="pugeo", daemon=True).start()
-        return future
+
+    def taken() -> R:
+        # The first call stays among those that run until it has ended: an interruption of this
+        # wait must wait for its thread, which removes its temporary file.
+        result = running[0].result()
+        running.popleft()
+        return result
 
     try:
         for item in items:
-            running.append(start(item))
+            start(item)
             if len(running) >= concurrency:
-                yield running.popleft().result()
+                yield taken()
         while running:
-            yield running.popleft().result()
+            yield taken()
     finally:
         interrupt()
         wait(running, timeout=_GRACE_S)
