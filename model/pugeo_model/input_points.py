@@ -24,7 +24,7 @@ from pugeo_model.geometry.neighbours import (
 )
 from pugeo_model.geometry.partition import partition
 from pugeo_model.geometry.quadric_at_points import is_stacked, quadrics_at
-from pugeo_model.geometry.regions import nested_regions
+from pugeo_model.geometry.regions import nested_regions, usual_regions
 from pugeo_model.geometry.scale import least_surface_spacing, measure_scale
 from pugeo_model.geometry.strays import stray_points
 from pugeo_model.tuning import TUNING
@@ -151,7 +151,7 @@ def _is_plain(points: NDArray[np.float64]) -> bool:
     sample = points[rows]
     regions = nested_regions(sample)
     apart = least_surface_spacing(sample, near, regions) > 0.0
-    apart |= is_flat_noise(sample, near, regions[min(1, len(regions) - 1)])
+    apart |= is_flat_noise(sample, near, usual_regions(regions))
     if apart.mean() > _FEW_GROUPS:
         return False
     return not stray_points(rows, points, neighbours, near.spacing, usual).any()

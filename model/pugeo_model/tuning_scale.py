@@ -23,12 +23,12 @@ class ScaleTuning:
         "as fine as the noise (0.25 halves the error at 10,000 points and doubles it at 2,048)",
     )  # fmt: skip
     averaged_alike: float = number(
-        0.8, "times that level", 0.6, 1.0,
-        "the same for all regions of a cloud of which one exceeds it",
+        0.8, "times averaged_noise", 0.6, 1.0,
+        "noise level from which all regions of a cloud are averaged if one exceeds averaged_noise",
     )  # fmt: skip
     flat_noise: float = number(
         0.1, "spacings", 0.05, 0.3,
-        "the same in a flat region, where no detail is lost",
+        "noise level from which a flat region is averaged, where no detail is lost",
     )  # fmt: skip
     only_noise: float = number(
         1.25, "times the usual noise", 1.1, 1.6,
@@ -36,11 +36,12 @@ class ScaleTuning:
     )  # fmt: skip
     least_kurtosis: float = number(
         2.2, "1", 1.9, 2.6,
-        "kurtosis of its heights from which they are noise: both sides of a thin plate have 1",
+        "kurtosis of the heights of a flat region from which they are noise: both sides of a thin "
+        "plate have 1",
     )  # fmt: skip
     flat_merge: float = number(
         2.0, "spacings of the points", 1.2, 3.0,
-        "least spacing of the charts there",
+        "least spacing of the charts of a noisy flat region",
     )  # fmt: skip
     stacked_order: float = number(
         0.75, "1", 0.5, 0.95,
@@ -52,7 +53,7 @@ class ScaleTuning:
     )  # fmt: skip
     lattice_order: float = number(
         0.75, "1", 0.5, 0.95,
-        "fourfold order of the four nearest from which points are a lattice",
+        "order of the nearest points, fourfold or sixfold, from which they are a lattice",
     )  # fmt: skip
     lattice_noise: float = number(
         0.05, "spacings", 0.02, 0.1,
@@ -69,7 +70,8 @@ class ScaleTuning:
     )  # fmt: skip
     bias_of_curved: float = number(
         3.0, "times the third over the second spread", 1.6, 4.0,
-        "the same on curved regions: a smooth surface has at most 1.6 (cubic), K terraces have K",
+        "the same angle, in radians, of a region that is not exactly flat: a cubic surface has at "
+        "most 1.6",
     )  # fmt: skip
     least_step: float = number(
         0.2, "spacings", 0.1, 0.5,

@@ -45,7 +45,7 @@ def _forget() -> Iterator[None]:
 
 
 def _imported(module: Path, home: Path) -> set[Path]:
-    """What a module imports at its top from its package, directly or not, and the module."""
+    """A module, and all that it imports at its top from its package, directly or not."""
     found: set[Path] = set()
     left = [module]
     while left:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the front has loaded once it is ready is not searched for garbage again."""
+"""Garbage collection of a ready front: objects that it loaded before are not searched again."""
 
 import subprocess
 import sys

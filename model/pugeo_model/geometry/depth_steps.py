@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pugeo_model.geometry.quadric_at_points import QuadricsAtPoints
-from pugeo_model.geometry.regions import Regions
+from pugeo_model.geometry.regions import Regions, usual_regions
 from pugeo_model.tuning import TUNING
 
 __all__ = ["DepthSteps", "find_depth_steps"]
@@ -63,11 +63,10 @@ class DepthSteps:
                 | (region.third <= TUNING.step_of_flat * step)
             )
             several = region.side * slope >= TUNING.terraces * step
-            needed = np.maximum(
-                TUNING.terraces / 4.0 * step / slope,
-                cosine * step / np.sqrt(12.0) / TUNING.thin_sheet,
-            )
+            # Values are rounded evenly, so that their error has a standard deviation of
+            # step / sqrt(12). A terrace is step / slope wide, the ball of a chart four spacings.
             error = cosine * step / np.sqrt(12.0)
+            needed = np.maximum(TUNING.terraces / 4.0 * step / slope, error / TUNING.thin_sheet)
             now = np.where(flat & several, needed, 0.0)[region.of_point]
             noticed = error[region.of_point] > TUNING.lattice_noise * spacing
             now = np.where(noticed & (now > 0.0), np.maximum(now, TUNING.step_merge * spacing), now)
@@ -92,7 +91,7 @@ def find_depth_steps(
     found = [(axis, _steps(points @ axis, 0.0, least)) for axis in np.eye(3)]
     rounded = [DepthSteps(axis, step) for axis, step in found if step is not None]
     if rounded:
-        return None if _are_voxels(rounded) else _faced(rounded, regions[min(1, len(regions) - 1)])
+        return None if _are_voxels(rounded) else _faced(rounded, usual_regions(regions))
     inside = near.thickness < _EXACT
     if np.count_nonzero(inside) < max(_FEWEST_EXACT * len(points), _SHARED):
         return None

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pugeo_model.geometry.partition import divide
 from pugeo_model.tuning import TUNING
 
-__all__ = ["Regions", "nested_regions"]
+__all__ = ["Regions", "nested_regions", "usual_regions"]
 
 _SMALLEST = 48  # least number of points of the smallest regions
 _SIZES = 5  # each four times the one before
@@ -87,3 +87,12 @@ def nested_regions(points: NDArray[np.float64]) -> list[Regions]:
         smallest[rows] = number
     sizes = min(_SIZES, halvings // 2 + 1)
     return [Regions(points, smallest >> (2 * size)) for size in range(sizes)]
+
+
+def usual_regions(regions: list[Regions]) -> Regions:
+    """Regions of some 200 to 400 points: large enough for statistics, and small enough to be flat.
+
+    Args:
+        regions: of `nested_regions`.
+    """
+    return regions[min(1, len(regions) - 1)]

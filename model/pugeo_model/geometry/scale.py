@@ -25,7 +25,7 @@ from pugeo_model.geometry.quadric_at_points import (
     quadrics_at,
     ranked_neighbour,
 )
-from pugeo_model.geometry.regions import Regions, nested_regions
+from pugeo_model.geometry.regions import Regions, nested_regions, usual_regions
 from pugeo_model.geometry.robust_quadric import (
     FIT,
     HEIGHT,
@@ -60,8 +60,8 @@ class LocalScale:
         spacing: ``(M,)`` float64 spacing that charts should have: that of the points themselves
             unless ``coarse``; unit scale.
         wanted: ``(M,)`` float64 the same without regard to finer charts nearby.
-        radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to, in
-            proportion to ``wanted``.
+        radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to; it follows
+            ``wanted``.
         coarse: ``(M,)`` bool, several points are represented by one chart.
         curve: ``(M,)`` bool, at no scale the points are a surface: a wire, one scan line.
         noise: ``(M,)`` float64 standard deviation of the points along the normal, unit scale.
@@ -98,7 +98,7 @@ def measure_scale(
     regions = nested_regions(points)
     least = least_surface_spacing(points, near, regions)
     very_noisy = noise_level > _bound_of_noise(noise_level)
-    flat = is_flat_noise(points, near, regions[min(1, len(regions) - 1)])
+    flat = is_flat_noise(points, near, usual_regions(regions))
     flat &= ~very_noisy & (least == 0.0)
     noisy = very_noisy | lattice | flat
     line = flatness < TUNING.surface_spread

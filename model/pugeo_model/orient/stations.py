@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 _ROUNDS = 2
+# Names of scalars, in small letters, that hold the station of each point.
 _NUMBERS = frozenset({"scan", "station", "scanner", "scan_id", "station_id"})
 
 

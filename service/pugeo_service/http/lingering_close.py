@@ -45,7 +45,7 @@ class _Transport:
             self.inner.close()
 
     def is_closing(self) -> bool:
-        """Whether it was closed, also where its client may still be sending."""
+        """Return True after `close`, also while the client may still be sending."""
         return self._closed or self.inner.is_closing()
 
     def write(self, data: bytes) -> None:
@@ -70,7 +70,7 @@ class LingeringClose(HttpToolsProtocol):
 
     @property
     def lingering(self) -> bool:
-        """Whether the connection is closed as soon as its client has closed it."""
+        """True while the connection waits for its client to close it."""
         return self._whole_timer is not None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

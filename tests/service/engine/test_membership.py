@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which workers a front can use, and which of those that are gone it has lost."""
+"""Membership: the workers that a front can use, and the number of those lost."""
 
 from typing import Any
 

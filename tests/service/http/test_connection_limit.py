@@ -144,7 +144,7 @@ def test_descriptors_are_raised_as_far_as_allowed(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_bound_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it allows less than this process may have, the usual number is asked for."""
+    """The usual number is asked for if the system allows fewer than this process may have."""
 
     def bounded(_: int, limits: tuple[int, int]) -> None:
         if limits[0] > 70_000:

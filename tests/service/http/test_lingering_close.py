@@ -120,7 +120,7 @@ def test_those_that_linger_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_time_and_bytes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever sends nothing, for too long or too much is cut off, and nothing of it is parsed."""
+    """A client that sends nothing, too long or too much is cut off; nothing of it is parsed."""
     monkeypatch.setattr(lingering_close, "MAX_BYTES", 100)
     made, loop, transport = connect(ServerProtocol)
     made.data_received(REFUSED_HEAD)
