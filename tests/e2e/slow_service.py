@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The service with a network that takes at least ``SLOW_S`` seconds for each patch.
 
-So a small cloud is under way for as long as a test needs, on a fast machine too, and costs little.
+So a cloud is under way for as long as a test needs, on a fast machine too, and costs little. It
+has to have 20,000 points: a cloud that is upsampled in one task does not pass here.
 This file is the program, and Dask's preload in its workers.
 """
 

@@ -179,7 +179,7 @@ def test_lists_and_tensors(ask: Ask, sphere: NDArray[np.float32]) -> None:
 @pytest.mark.slow
 def test_a_cloud_beyond_the_time_limit(launch: Callable[..., Any], tmp_path: Path) -> None:
     """A cloud that the service cannot finish within one request is finished as a job."""
-    points = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)
+    points = np.random.default_rng(0).normal(size=(20_000, 3)).astype(np.float32)
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     stages: list[str] = []
     options = ("--engine", "inline", "--workers", "1", "--deadline-s", "0.5")
@@ -189,7 +189,7 @@ def test_a_cloud_beyond_the_time_limit(launch: Callable[..., Any], tmp_path: Pat
             points, 4, out=tmp_path / "d.ply", on_progress=lambda stage, *_: stages.append(stage)
         )
         (job,) = client.jobs()
-    check(dense, 24_000)
+    check(dense, 80_000)
     assert job.state == "succeeded"
     assert stages[-1] == "receive"
     assert "predict" in stages
