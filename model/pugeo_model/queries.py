@@ -72,6 +72,9 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
     pinned = None
     if tile.keeps_input or exact:
         pinned = inputs, projected_inputs.normals, input_owner
+    has_errors = not (exact or tile.keeps_input or _is_averaged(prepared))
+    # Some of a scan's points have no chart of their own: the scanner chose where they lie.
+    is_scan = has_errors and tile.input is not None
     beyond = are_beyond(
         candidates.points,
         candidates.normals,
@@ -80,7 +83,8 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
         prepared.neighbours,
         bounded_spacing(prepared.frames.spacing, prepared.neighbours),
         tile.max_gap,
-        shadows=not (exact or tile.keeps_input or _is_averaged(prepared)),
+        shadows=has_errors,
+        error=candidates.error if is_scan else None,
     )
     kept, points, owner = select(
         candidates.points,
@@ -97,6 +101,7 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
         prepared.quotas,
         beyond,
         keep_all=tile.keeps_input,
+        most_error=TUNING.usual_error_scan if is_scan else TUNING.usual_error_most,
     )
     points = np.concatenate([inputs[kept], points])
     owner = np.concatenate([input_owner[kept], owner])

@@ -132,6 +132,11 @@ class Tuning(ScaleTuning):
         0.5, "spacings", 0.3, 1.25,
         "the same beyond the rim of the scan, where the input lies on one side only",
     )  # fmt: skip
+    sure_error: float = number(
+        0.03, "spacings", 0.02, 0.1,
+        "expected error from which a point of a scan must be nearer to the input; with a smaller "
+        "one less is filled",
+    )  # fmt: skip
     open_sector: float = number(
         200.0, "degrees", 150.0, 300.0,
         "sector around a point without input from which it is beyond the rim",
@@ -218,6 +223,10 @@ class Tuning(ScaleTuning):
     usual_error_most: float = number(
         5.6, "times the error around", 4.0, 8.0,
         "largest limit; with a larger one points lie beyond the tips of thin fins",
+    )  # fmt: skip
+    usual_error_scan: float = number(
+        1.6, "times the error around", 1.0, 5.6,
+        "largest limit for scans; a smaller one makes points better and their spacing less even",
     )  # fmt: skip
     seed_penalty: float = number(
         1e-05, "weight", 0.0, 0.001,

@@ -4,6 +4,10 @@
 Between input points the surface is known on all sides. Beyond an open rim, the edge of a shadow or
 the tip of a fin, the input lies on one side only, and a chart extrapolates. The widest sector
 around a point without input tells the two cases apart.
+
+In a scan the surface is not known everywhere between the points either, as where rings are wide
+apart or a thin part has few of them. The charts expect a larger error there, and the distance is
+reduced in inverse proportion to it.
 """
 
 import numpy as np
@@ -72,11 +76,21 @@ def are_beyond(
     max_gap: float | None,
     *,
     shadows: bool,
+    error: NDArray[np.float32] | None = None,
 ) -> NDArray[np.bool_]:
-    """Return which points are further from the input than `distance_bounds` allows, ``(K,)``."""
+    """Return which points are too far from the input, ``(K,)``.
+
+    The bound is that of `distance_bounds`. If errors are given, it is multiplied by
+    ``min(1, TUNING.sure_error / error)``.
+
+    Args:
+        error: ``(K,)`` expected error of each point, in spacings, of a scan.
+    """
     limit, nearest = distance_bounds(
         points, normals, owner, charts, neighbours, spacing, max_gap, shadows=shadows
     )
+    if error is not None:
+        limit *= TUNING.sure_error / np.maximum(error, TUNING.sure_error)
     far: NDArray[np.bool_] = ((points - charts[nearest]) ** 2).sum(axis=1) > limit * limit
     return far
 

@@ -34,6 +34,7 @@ def select(
     unwanted: NDArray[np.bool_] | None = None,
     *,
     keep_all: bool = False,
+    most_error: float = TUNING.usual_error_most,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
     """Select exactly the wanted number of candidates, then move them to an even spacing.
 
@@ -54,6 +55,8 @@ def select(
         quotas: ``(M,)`` relative numbers of output points of charts, by default equal.
         unwanted: ``(C,)`` candidates that are selected only if there are too few others.
         keep_all: select all pinned points of the core.
+        most_error: candidates that expect more than this times the error around have a penalty at
+            every ratio.
 
     Returns:
         Of the core: the rows of ``pinned`` that are selected, ascending int32; the other points
@@ -65,7 +68,7 @@ def select(
     limit = float(
         TUNING.usual_error * (wanted / np.count_nonzero(core)) ** TUNING.usual_error_power
     )
-    limit = min(max(limit, TUNING.usual_error_least), TUNING.usual_error_most)
+    limit = min(max(limit, TUNING.usual_error_least), most_error)
     penalty = _error_penalty(error.astype(np.float64), owner, near, has_chart, limit)
     penalty += TUNING.seed_penalty * _random(candidates, seed)
     if unwanted is not None:

@@ -77,6 +77,19 @@ def test_points_beyond_their_bound_are_found() -> None:
     assert far.tolist() == [False, False, True]
 
 
+def test_a_point_that_expects_a_larger_error_must_be_nearer() -> None:
+    """Half-way between four charts a point may expect a small error, not a large one."""
+    points, neighbours, apart = _plate()
+    asked = np.tile([10.5, 10.5, 0.0], (3, 1))
+    owner = np.full(3, 210, np.int32)
+    normals = np.tile(_UP, (3, 1))
+    error = np.array([0.0, 1.0, 4.0], np.float32) * TUNING.sure_error
+    far = are_beyond(
+        asked, normals, owner, points, neighbours, apart, None, shadows=False, error=error
+    )
+    assert far.tolist() == [False, False, True]
+
+
 def test_the_spacing_of_an_isolated_chart_is_bounded() -> None:
     """A spacing much larger than those around is reduced, others stay."""
     _, neighbours, apart = _plate()

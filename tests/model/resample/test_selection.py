@@ -7,6 +7,7 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.metrics.clouds import evenness
 from pugeo_model.resample.elimination import chart_radii
 from pugeo_model.resample.selection import select, spread_evenly
+from pugeo_model.tuning import TUNING
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +88,26 @@ def test_projected_points_become_even_again(plane):
     unchanged = (after == moved).all(axis=1)
     assert unchanged[moved[:, 0] > 0.69].mean() > 0.9
     assert unchanged[moved[:, 0] < 0.5].mean() < 0.01
+
+
+def test_a_lower_limit_of_the_usual_error_thins_unsure_places(plane):
+    """Fewer points stand where errors are three times those around; their number is exact."""
+    points, neighbours, area, candidates, owner = plane
+    unsure = np.abs(points[:, 0] - 0.5) < 0.03
+    error = np.where(unsure[owner], 0.06, 0.02).astype(np.float32)
+    shares = []
+    for limit in (TUNING.usual_error_most, TUNING.usual_error_scan):
+        _, selected, kept = select(
+            candidates,
+            up(len(owner)),
+            error,
+            owner,
+            7000,
+            radii(area, 7000),
+            neighbours,
+            seed=0,
+            most_error=limit,
+        )
+        assert len(selected) == 7000
+        shares.append(unsure[kept].mean())
+    assert shares[1] < 0.9 * shares[0]
