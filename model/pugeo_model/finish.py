@@ -79,6 +79,7 @@ def finish(prepared: PreparedTile, projected: Projected) -> UpsampledTile:
         projected = projected.take(np.append(tile_order, np.arange(tile.core, tile.n_out)))
     elif not tile.keeps_input and (tile.noisy is not None or tile.input is not None):
         projected = replace(projected, points=_spread_evenly(prepared, projected))
+    projected = replace(projected, points=_along_curves(prepared, projected))
     projected, room = _within_bounds(prepared, projected)
     normals, signs, parts = _oriented(prepared, projected)
     places = prepared.points if tile.input is None else tile.input.points
@@ -131,6 +132,13 @@ def _spread_evenly(prepared: PreparedTile, projected: Projected) -> NDArray[np.f
         prepared.neighbours,
         prepared.core,
     )
+
+
+def _along_curves(prepared: PreparedTile, projected: Projected) -> NDArray[np.float64]:
+    """Move points beside wires and single scan lines onto these; kept ones stay."""
+    points = prepared.along_curves(projected.points, projected.nearest)
+    kept = prepared.tile.unmoved
+    return points if not kept else np.concatenate([projected.points[:kept], points[kept:]])
 
 
 def _within_bounds(

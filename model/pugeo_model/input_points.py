@@ -111,7 +111,7 @@ def represent(points: NDArray[np.float64], *, keep_all: bool) -> InputPoints | N
         own = spacing(distances).astype(np.float64)
         around = np.median(own[neighbours[:, :SPACING_NEIGHBOURS]], axis=1)
         stray = stray_points(np.arange(len(points)), points, neighbours, own, around)
-    if not scale.coarse.any() and not stray.any():
+    if not (scale.coarse.any() or scale.curve.any() or stray.any()):
         return None
     centres = choose_centres(points, scale, stray)
     if len(centres.points) < _FEWEST_CHARTS:

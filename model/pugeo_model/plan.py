@@ -110,9 +110,10 @@ class Plan:
         """Return tile ``number`` with its data."""
         spec = self.tile_specs[number]
         whole = len(self.tile_specs) == 1
-        source = None
+        source = on_curve = None
         if self.input is not None:
             source = self.input.of_charts(spec.rows, spec.core, self.cloud)
+            on_curve = self.input.centres.on_curve[spec.rows]
         cloud = source.cloud if source else self.cloud if whole else self.cloud.take(spec.rows)
         wanted = math.ceil(TUNING.oversampling * self.n_out / len(self.points))
         return Tile(
@@ -140,6 +141,7 @@ class Plan:
             input=source,
             weights=None if self.weights is None else self.weights[spec.rows],
             usual_weight=self.usual_weight,
+            on_curve=on_curve if on_curve is not None and on_curve.any() else None,
         )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pugeo_model.cloud import Cloud
 from pugeo_model.geometry.areas import areas_of_quotas, surface_areas
+from pugeo_model.geometry.curves import onto_curves
 from pugeo_model.geometry.frames import Frames, fit_frames
 from pugeo_model.geometry.neighbours import nearest, spacing
 from pugeo_model.geometry.overlapping import PointPatch, overlapping_patches
@@ -74,6 +75,26 @@ class PreparedTile:
     def radii(self) -> NDArray[np.float64]:
         """Packing radius ``(M,)`` of the output points around each chart."""
         return chart_radii(self.area, self.quotas, self.core, self.tile.n_out)
+
+    def along_curves(
+        self, points: NDArray[np.float64], nearest: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """Move points ``(K, 3)`` whose nearest chart lies on a curve onto it; others stay.
+
+        Args:
+            points: unit scale.
+            nearest: ``(K,)`` int32 nearest chart of each.
+        """
+        if self.tile.on_curve is None:
+            return points
+        return onto_curves(
+            points,
+            nearest,
+            self.points,
+            self.neighbours,
+            self.tile.on_curve[self.order],
+            self.frames.spacing,
+        )
 
     @property
     def input_points(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

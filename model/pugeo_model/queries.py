@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The points of a tile that are projected onto its charts: input points, candidates, survivors."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,6 +70,9 @@ def select_survivors(prepared: PreparedTile, atlas: Atlas, projected: Projected)
     tile = prepared.tile
     projected_inputs = projected.take(slice(0, len(inputs)))
     candidates = projected.take(slice(len(inputs), None))
+    candidates = replace(
+        candidates, points=prepared.along_curves(candidates.points, candidates.nearest)
+    )
     exact = _is_exact(prepared, projected_inputs)
     pinned = None
     if tile.keeps_input or exact:

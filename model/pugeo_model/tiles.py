@@ -104,6 +104,7 @@ class Tile:
         weights: ``(n,)`` float64 to which the numbers of output points of charts are
             proportional, see `Plan`; ``None`` if all are equal.
         usual_weight: weight of the usual chart of the whole cloud.
+        on_curve: ``(n,)`` bool, charts on a wire or single scan line; ``None`` if there are none.
     """
 
     cloud: Cloud
@@ -131,6 +132,7 @@ class Tile:
     input: TileInput | None = None
     weights: NDArray[np.float64] | None = None
     usual_weight: float = 1.0
+    on_curve: NDArray[np.bool_] | None = None
 
     @property
     def kept(self) -> int:

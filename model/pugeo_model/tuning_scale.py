@@ -98,6 +98,23 @@ class ScaleTuning:
         0.3, "of the first principal spread", 0.15, 0.5,
         "second principal spread from which points are a surface and not a line",
     )  # fmt: skip
+    tube: float = number(
+        0.7, "of the second principal spread", 0.5, 0.9,
+        "noise up to which points are a surface: that of a wire is the same in both directions",
+    )  # fmt: skip
+    tube_noise: float = number(
+        0.25, "spacings", 0.2, 0.32,
+        "residual of fits to few points from which a long region is searched for a curve: noise of "
+        "two spacings and more around a wire has 0.32, thin parts of a scan 0.14",
+    )  # fmt: skip
+    slim_curve: float = number(
+        0.3, "of the first principal spread", 0.15, 0.4,
+        "noise up to which points are a curve",
+    )  # fmt: skip
+    curve_kurtosis: float = number(
+        1.6, "1", 1.3, 1.9,
+        "kurtosis of the distances from a curve from which they are noise, see `curve_fit`",
+    )  # fmt: skip
     thin_sheet: float = number(
         0.28, "spacings of the charts", 0.2, 0.34,
         "noise that charts are left with: a larger one keeps more detail and more noise",
@@ -126,6 +143,10 @@ class ScaleTuning:
     chart_ball: float = number(
         1.6, "spacings of the charts", 1.2, 2.4,
         "radius of the ball that a centre is fitted to; larger ones flatten",
+    )  # fmt: skip
+    curve_ball: float = number(
+        2.8, "spacings of the charts", 1.6, 4.0,
+        "the same on a curve, of which few points are inside; the noise was measured in this ball",
     )  # fmt: skip
     least_chart_ball: float = number(
         2.4, "spacings of the points", 1.6, 3.2,

@@ -42,7 +42,7 @@ def _measured(points: np.ndarray) -> tuple[LocalScale, Centres, float]:
     centres = choose_centres(unit, scale, np.zeros(len(points), np.bool_))
     return (
         scale,
-        Centres(centres.points * size, centres.of_point, centres.count),
+        Centres(centres.points * size, centres.of_point, centres.count, centres.on_curve),
         size,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pugeo_model.geometry.curves import centres_on_curves
 from pugeo_model.geometry.grid import rows_within, sort_into_grid, thinned_grid
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.geometry.robust_quadric import (
@@ -51,11 +52,13 @@ class Centres:
         points: ``(C, 3)`` float64; points that represent only themselves lead, in order.
         of_point: ``(M,)`` int32 centre that represents each input point, or the nearest.
         count: ``(C,)`` int32 number of points that each represents.
+        on_curve: ``(C,)`` bool, centres on a curve, where no scale shows a surface.
     """
 
     points: NDArray[np.float64]
     of_point: NDArray[np.int32]
     count: NDArray[np.int32]
+    on_curve: NDArray[np.bool_]
 
 
 def choose_centres(
@@ -68,21 +71,45 @@ def choose_centres(
         scale: of the points.
         left_out: ``(M,)`` points without a centre of their own: stray points.
     """
-    coarse = np.flatnonzero(scale.coarse & ~left_out)
+    coarse = scale.coarse & ~left_out
     single = np.flatnonzero(~scale.coarse & ~left_out)
-    centres = points[single]
-    if len(coarse):
-        places, spacing, wanted, radius, noise, count = _cell_means(points, scale, coarse)
-        chosen = _spaced_apart(places, spacing, count)
-        moved = _project(points, _lloyd(places[chosen], places), radius[chosen], noise[chosen])
-        centres = np.concatenate([centres, _bounded(points, moved, wanted[chosen])])
+    surfaces = _of_surfaces(points, scale, np.flatnonzero(coarse & ~scale.curve))
+    curves = _of_curves(points, scale, np.flatnonzero(coarse & scale.curve))
+    centres = np.concatenate([points[single], surfaces, curves])
+    on_curve = np.zeros(len(centres), np.bool_)
+    on_curve[: len(single)] = scale.curve[single]
+    on_curve[len(single) + len(surfaces) :] = True
     of_point = np.empty(len(points), dtype=np.int32)
     of_point[single] = np.arange(len(single))
     rest = np.flatnonzero(scale.coarse | left_out)
     # The nearest centre may also be one of the single points.
     of_point[rest] = knn(cKDTree(centres), points[rest], 1)[1][:, 0]
     represented = np.bincount(of_point[~left_out], minlength=len(centres)).astype(np.int32)
-    return Centres(centres, of_point, represented)
+    return Centres(centres, of_point, represented, on_curve)
+
+
+def _of_surfaces(
+    points: NDArray[np.float64], scale: LocalScale, rows: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Centres of the points ``rows``, which are a surface, ``(C, 3)``."""
+    if not len(rows):
+        return points[:0]
+    places, spacing, wanted, radius, noise, count = _cell_means(points, scale, rows)
+    chosen = _spaced_apart(places, spacing, count)
+    moved = _project(points, _lloyd(places[chosen], places), radius[chosen], noise[chosen])
+    return _bounded(points, moved, wanted[chosen])
+
+
+def _of_curves(
+    points: NDArray[np.float64], scale: LocalScale, rows: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Centres of the points ``rows``, which lie around curves, ``(C, 3)``."""
+    if not len(rows):
+        return points[:0]
+    places, spacing, _, _, _, count = _cell_means(points, scale, rows)
+    chosen = _spaced_apart(places, spacing, count)
+    middle = _lloyd(places[chosen], places)
+    return centres_on_curves(points[rows], middle, spacing[chosen])
 
 
 def _cell_means(

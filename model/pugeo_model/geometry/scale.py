@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from pugeo_model.geometry.biased_normals import least_unbiased_spacing
 from pugeo_model.geometry.depth_steps import find_depth_steps
 from pugeo_model.geometry.flat_noise import is_flat_noise
-from pugeo_model.geometry.grid import rows_within, sort_into_grid, thinned_grid
 from pugeo_model.geometry.neighbours import knn
 from pugeo_model.geometry.partition import partition
 from pugeo_model.geometry.quadric_at_points import (
@@ -26,30 +25,15 @@ from pugeo_model.geometry.quadric_at_points import (
     ranked_neighbour,
 )
 from pugeo_model.geometry.regions import Regions, nested_regions, usual_regions
-from pugeo_model.geometry.robust_quadric import (
-    FIT,
-    HEIGHT,
-    KEPT,
-    SPREAD_1,
-    SPREAD_2,
-    THICKNESS,
-    fit_robust_quadric,
-)
-from pugeo_model.kernel_compiler import njit
+from pugeo_model.geometry.scale_search import search_curves, search_surfaces
 from pugeo_model.tuning import TUNING
 
 __all__ = ["LocalScale", "least_surface_spacing", "measure_scale"]
 
 _REGION = 2048  # points of a region in which noise is told from detail
 _WIDE_REGION = 8192  # points of a region in which noise is about the same
-_STEP = np.sqrt(2.0)
-_LARGEST_STEPS = 1024.0  # spacings up to which a surface is searched
-_FEWEST = 12  # points needed for a fit
-_PER_CELL = 24  # points used of each half radius of a ball: some 400 of a ball
-_BUFFER = 1024  # points of a ball that are used at most
 _LEAST_KNOWN = 0.2  # share of noisy points with a scale, below which it is not propagated
 _DONORS = 16  # points with a scale whose median a point without one gets
-_FLAT, _THIN, _BALL = TUNING.surface_spread, TUNING.thin_sheet, TUNING.scale_ball
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +47,8 @@ class LocalScale:
         radius: ``(M,)`` float64 radius of the ball of points that a chart is fitted to; it follows
             ``wanted``.
         coarse: ``(M,)`` bool, several points are represented by one chart.
-        curve: ``(M,)`` bool, at no scale the points are a surface: a wire, one scan line.
+        curve: ``(M,)`` bool, no scale shows a surface and some scale shows a curve: a wire, one
+            scan line.
         noise: ``(M,)`` float64 standard deviation of the points along the normal, unit scale.
     """
 
@@ -102,37 +87,107 @@ def measure_scale(
     flat &= ~very_noisy & (least == 0.0)
     noisy = very_noisy | lattice | flat
     line = flatness < TUNING.surface_spread
-    coarse = noisy | line | (least > 0.0)
+    tube = _is_tube(near, regions)
+    coarse = noisy | line | tube | (least > 0.0)
     spacing = own.copy()
-    curve = np.zeros(len(points), np.bool_)
+    curve = no_surface = np.zeros(len(points), np.bool_)
     if coarse.any():
         searched = coarse & (least == 0.0)
-        found, thickness = _search(points, own, searched, TUNING.round_ball)
-        large = found > TUNING.large_scale
-        if np.count_nonzero(large) < TUNING.mostly_large * np.count_nonzero(searched):
-            # A few such points are thin parts of the shape, which a large ball takes for a sheet.
-            found[large] = thickness[large] = 0.0
-        if least.any():
-            # These regions are known to be flat.
-            more, thick = _search(points, np.maximum(own, least), least > 0.0, _FLAT)
-            found, thickness = found + more, thickness + thick
+        found, thickness = _surfaces(points, own, searched & (noisy | line), least)
         _propagate_scale(points, (noisy | (least > 0.0)) & (found == 0.0), found, thickness)
+        # A neighbourhood that is thin by chance must not remain a single noisy point.
+        usual = np.where(noisy, _usual(found, neighbours), found)
+        no_surface = searched & (usual == 0.0)
+        may_be_curve = no_surface & (line | tube)
+        if may_be_curve.any():
+            along, across = _curves(points, own, neighbours, may_be_curve, no_surface)
+            curve = along > 0.0
         if noisy.any():
-            # A neighbourhood that is thin by chance must not remain a single noisy point.
-            usual = ranked_neighbour(ranked_neighbour(found, neighbours, 16), neighbours, 16)
             _bound_by_region(points, noisy, usual)
             _bound_by_region(points, noisy, thickness)
             merged = np.where(lattice, TUNING.lattice_merge, TUNING.least_merge) * own
             merged[flat] = TUNING.flat_merge * own[flat]
             found[noisy] = np.maximum(usual, merged)[noisy]
             found = np.where(found > 0.0, np.maximum(found, least), 0.0)
-        curve = (noisy | line) & (found == 0.0)
+        if curve.any():
+            found[curve], thickness[curve] = along[curve], across[curve]
         coarse = coarse & (found > 1.1 * own)
         spacing[coarse] = found[coarse]
         noise[coarse] = thickness[coarse]
     radius = np.maximum(TUNING.chart_ball * spacing, TUNING.least_chart_ball * own)
-    graded = _graded(points, own, spacing, coarse, curve)
+    graded = _graded(points, own, spacing, coarse, no_surface)
     return LocalScale(graded, spacing, radius, coarse, curve, noise)
+
+
+def _surfaces(
+    points: NDArray[np.float64],
+    own: NDArray[np.float64],
+    searched: NDArray[np.bool_],
+    least: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spacing of charts on surfaces ``(M,)``, 0 where none is found, and the noise there.
+
+    Args:
+        points: ``(M, 3)``.
+        own: ``(M,)`` spacing of the points.
+        searched: ``(M,)`` points where a surface is searched.
+        least: ``(M,)`` least spacing of charts in regions that are known to be flat, else 0.
+    """
+    found, thickness = search_surfaces(points, own, searched, TUNING.round_ball)
+    large = found > TUNING.large_scale
+    if np.count_nonzero(large) < TUNING.mostly_large * np.count_nonzero(searched):
+        # A few such points are thin parts of the shape, which a large ball takes for a sheet.
+        found[large] = thickness[large] = 0.0
+    if least.any():
+        flat_from = np.maximum(own, least)
+        more, thick = search_surfaces(points, flat_from, least > 0.0, TUNING.surface_spread)
+        found, thickness = found + more, thickness + thick
+    return found, thickness
+
+
+def _is_tube(near: QuadricsAtPoints, regions: list[Regions]) -> NDArray[np.bool_]:
+    """Return which points may be noise around a curve: a region is long and rough, ``(M,)``.
+
+    Args:
+        near: of the points.
+        regions: that contain them.
+    """
+    tube = np.zeros(len(near.thickness), np.bool_)
+    for region in regions:
+        rough = region.quantiles(near.thickness, TUNING.noise_quantile) > TUNING.tube_noise
+        slim = region.second <= TUNING.slim_curve * region.first
+        tube |= (rough & slim & (region.third >= 0.5 * region.second))[region.of_point]
+    return tube
+
+
+def _usual(values: NDArray[np.float64], neighbours: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Median of the medians around, ``(M,)``."""
+    return ranked_neighbour(ranked_neighbour(values, neighbours, 16), neighbours, 16)
+
+
+def _curves(
+    points: NDArray[np.float64],
+    own: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    searched: NDArray[np.bool_],
+    no_surface: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spacing of charts on curves ``(M,)``, 0 elsewhere, and the noise across the curves.
+
+    Args:
+        points: ``(M, 3)``.
+        own: ``(M,)`` spacing of the points.
+        neighbours: ``(M, k)``.
+        searched: ``(M,)`` points where a curve is searched.
+        no_surface: ``(M,)`` points that may belong to one; also single ones beside a curve.
+    """
+    along, across = search_curves(points, own, searched)
+    along = np.where(no_surface, _usual(along, neighbours), 0.0)
+    across = np.where(no_surface, _usual(across, neighbours), 0.0)
+    # Points on the curve represent themselves.
+    exact = across <= TUNING.thin_sheet * own
+    along[exact] = np.minimum(along, own)[exact]
+    return along, across
 
 
 def _graded(
@@ -140,18 +195,18 @@ def _graded(
     own: NDArray[np.float64],
     spacing: NDArray[np.float64],
     coarse: NDArray[np.bool_],
-    curve: NDArray[np.bool_],
+    no_surface: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """Bound the spacing of charts ``(M,)``, so that it grows slowly away from finer charts.
 
     A chart reaches as far as its neighbours are apart: a few wide ones among fine ones would leave
-    holes between them. Points on a curve do not count.
+    holes between them. Points that belong to no surface do not count.
     """
     graded = spacing.copy()
     bound = TUNING.narrow_charts
     while True:
         wider = coarse & (graded > bound * own)
-        finer = ~wider & ~curve
+        finer = ~wider & ~no_surface
         if not wider.any() or not finer.any():
             return graded
         rows, others = np.flatnonzero(wider), np.flatnonzero(finer)
@@ -202,54 +257,6 @@ def _regional_noise(
     return level
 
 
-def _search(
-    points: NDArray[np.float64],
-    own: NDArray[np.float64],
-    wanted: NDArray[np.bool_],
-    wide_large: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Search the scale at the wanted points.
-
-    Args:
-        points: ``(M, 3)``.
-        own: ``(M,)`` spacing from which on a scale is searched.
-        wanted: ``(M,)`` points.
-        wide_large: least second spread over the first at large scales.
-
-    Returns:
-        Spacing of charts ``(M,)``, 0 if none is found, and the noise there ``(M,)``.
-    """
-    found, thickness = np.zeros(len(points)), np.zeros(len(points))
-    # A scale counts if the next one is a surface too: few points are often thin by chance.
-    before, before_thickness = np.zeros(len(points)), np.zeros(len(points))
-    left = np.flatnonzero(wanted)
-    if not len(left):
-        return found, thickness
-    size = float(np.quantile(own[left], 0.02)) * _STEP
-    while len(left) and size < TUNING.largest_scale:
-        active = left[(own[left] * _STEP <= size * 1.01) & (own[left] * _LARGEST_STEPS >= size)]
-        if len(active):
-            now, now_thickness = np.zeros(len(points)), np.zeros(len(points))
-            ball = thinned_grid(points, _BALL * size, _PER_CELL)
-            places = sort_into_grid(points[active], size)
-            _fit_at_size(
-                points,
-                active[places.order].astype(np.int64),
-                places.keys,
-                size,
-                _FLAT if size < TUNING.large_scale else wide_large,
-                (ball.low, ball.size, ball.keys, ball.order),
-                now,
-                now_thickness,
-            )
-            sure = active[(now[active] > 0.0) & (before[active] > 0.0)]
-            found[sure], thickness[sure] = before[sure], before_thickness[sure]
-            before[active], before_thickness[active] = now[active], now_thickness[active]
-            left = left[found[left] == 0.0]
-        size *= _STEP
-    return found, thickness
-
-
 def _bound_by_region(
     points: NDArray[np.float64], noisy: NDArray[np.bool_], values: NDArray[np.float64]
 ) -> None:
@@ -279,41 +286,3 @@ def _propagate_scale(
     near = known[knn(cKDTree(points[known]), points[rows], min(_DONORS, len(known)))[1]]
     found[rows] = np.median(found[near], axis=1)
     thickness[rows] = np.median(thickness[near], axis=1)
-
-
-@njit(cache=True, nogil=True)
-def _fit_at_size(points, rows, keys, size, wide, ball, found, thickness):  # type: ignore[no-untyped-def]
-    """Fit a quadric around the points of each cell; write the scale where they are a surface."""
-    low, radius, ball_keys, ball_order = ball
-    near = np.empty(_BUFFER, dtype=np.int32)
-    axes, work, out = np.zeros((3, 3)), np.zeros((8, 6)), np.empty(FIT)
-    start = 0
-    while start < len(rows):
-        stop = start
-        x = y = z = 0.0
-        while stop < len(rows) and keys[stop] == keys[start]:
-            x += points[rows[stop], 0]
-            y += points[rows[stop], 1]
-            z += points[rows[stop], 2]
-            stop += 1
-        x /= stop - start
-        y /= stop - start
-        z /= stop - start
-        count = rows_within(x, y, z, points, low, radius, ball_keys, ball_order, near)
-        if count >= _FEWEST:
-            local = np.empty((3, count))
-            for j in range(count):
-                local[0, j] = (points[near[j], 0] - x) / radius
-                local[1, j] = (points[near[j], 1] - y) / radius
-                local[2, j] = (points[near[j], 2] - z) / radius
-            weights, heights, flat = np.empty(count), np.empty(count), np.empty(count)
-            fit_robust_quadric(local, 1, 0.0, axes, work, weights, heights, flat, out)
-            thick = out[THICKNESS] * radius
-            surface = out[SPREAD_2] >= wide * out[SPREAD_1]
-            thin = thick <= _THIN * size
-            belongs = abs(out[HEIGHT]) * radius <= 3.0 * thick + 0.1 * size
-            if surface and thin and belongs and out[KEPT] > 0.5:
-                for at in range(start, stop):
-                    found[rows[at]] = min(max(thick / _THIN, size / _STEP), size)
-                    thickness[rows[at]] = thick
-        start = stop
