@@ -56,6 +56,10 @@ class Cloud:
     source: SourceInfo | None = None
 
     def __post_init__(self) -> None:
+        arrays = {"points": self.points, "normals": self.normals, "colors": self.colors}
+        for name, values in {**arrays, **self.scalars}.items():
+            if values is not None and not isinstance(values, np.ndarray):
+                raise TypeError(f"{name} must be a numpy array, not {type(values).__name__}")
         count = len(self.points)
         if self.points.shape != (count, 3) or self.points.dtype not in (np.float32, np.float64):
             raise ValueError(f"points must be float (M, 3), not {_describe(self.points)}")

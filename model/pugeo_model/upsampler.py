@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Upsampling of clouds in one process."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,10 @@ class Upsampler:
 
         Raises:
             CloudError: the cloud or an option is invalid.
+            TypeError: a path instead of a cloud.
         """
+        if isinstance(cloud, str | os.PathLike):
+            raise TypeError("a path is no cloud: read it first, with pugeo_model.read(path)")
         if not isinstance(cloud, Cloud):
             cloud = from_array(np.asarray(cloud))
         options = Options(

@@ -5,7 +5,9 @@ import importlib
 import os
 import subprocess
 import sys
+from typing import Any
 
+import numpy as np
 import pytest
 
 import pugeo_model as pm
@@ -56,3 +58,19 @@ def test_names_are_imported_on_first_use() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split("\n")[:2] == ["[]", "False"]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda cloud: pm.write("dense.ply", cloud), "a Cloud, then a path .* not str and Cloud"),
+        (lambda cloud: pm.write(cloud.points, "dense.ply"), "not ndarray and str"),
+        (lambda cloud: pm.read(cloud.points), "a path or a binary file, not ndarray"),
+        (lambda _: pm.Cloud([[0.0, 0.0, 0.0]]), "points must be a numpy array, not list"),
+        (lambda _: pm.Upsampler()("scan.ply"), r"read it first, with pugeo_model.read\(path\)"),
+    ],
+)
+def test_a_value_of_another_kind_is_named(call: Any, words: str) -> None:
+    """Swapped arguments and values of a wrong type get an error that says what is taken."""
+    with pytest.raises(TypeError, match=words):
+        call(pm.Cloud(np.zeros((3, 3))))

@@ -170,7 +170,10 @@ def read(source: Source, *, format: str | None = None, limits: Limits = DEFAULT_
         UnsupportedFormatError: no such format, or none recognised.
         LimitExceededError: too large.
         OSError: the path cannot be read.
+        TypeError: neither a path nor a file.
     """
+    if not isinstance(source, str | os.PathLike) and not hasattr(source, "read"):
+        raise TypeError(f"read takes a path or a binary file, not {type(source).__name__}")
     module = None if format is None else _reader(format)
     with seekable(source, limits) as file:
         if module is None:
@@ -225,7 +228,9 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
     Raises:
         UnsupportedFormatError: no such format, or an extension that belongs to none.
         OSError: the path cannot be written.
+        TypeError: no cloud, or neither a path nor a file.
     """
+    _refuse_other_kinds(cloud, target)
     if isinstance(target, str | os.PathLike):
         path = os.fspath(target)
         module = _writer(format or written_as(path))
@@ -233,6 +238,16 @@ def write(cloud: Cloud, target: Target, *, format: str | None = None) -> None:
             module.write(cloud, file)
     else:
         _writer(format or "ply").write(cloud, target)
+
+
+def _refuse_other_kinds(cloud: object, target: object) -> None:
+    """Refuse arguments of `write` that are swapped, or of another type."""
+    is_target = isinstance(target, str | os.PathLike) or hasattr(target, "write")
+    if not isinstance(cloud, Cloud) or not is_target:
+        raise TypeError(
+            "write takes a Cloud, then a path or a binary file, not "
+            f"{type(cloud).__name__} and {type(target).__name__}"
+        )
 
 
 def output_format(read_as: str | None) -> str:
