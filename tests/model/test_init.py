@@ -60,17 +60,20 @@ def test_names_are_imported_on_first_use() -> None:
     assert done.stdout.split("\n")[:2] == ["[]", "False"]
 
 
-untyped: Any = pm  # the types of these calls are wrong
+wrong: Any = pm  # its calls have values of wrong types
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda cloud: untyped.write("dense.ply", cloud), "a Cloud, then a path .* not str and Cloud"),
-        (lambda cloud: untyped.write(cloud.points, "dense.ply"), "not ndarray and str"),
-        (lambda cloud: untyped.read(cloud.points), "a path or a binary file, not ndarray"),
-        (lambda _: untyped.Cloud([[0.0, 0.0, 0.0]]), "points must be a numpy array, not list"),
-        (lambda _: untyped.Upsampler()("scan.ply"), r"read it first, with pugeo_model.read\(path\)"),
+        (
+            lambda cloud: wrong.write("dense.ply", cloud),
+            "a Cloud, then a path .* not str and Cloud",
+        ),
+        (lambda cloud: wrong.write(cloud.points, "dense.ply"), "not ndarray and str"),
+        (lambda cloud: wrong.read(cloud.points), "a path or a binary file, not ndarray"),
+        (lambda _: wrong.Cloud([[0.0, 0.0, 0.0]]), "points must be a numpy array, not list"),
+        (lambda _: wrong.Upsampler()("scan.ply"), r"read it first, with pugeo_model.read\(path\)"),
     ],
 )
 def test_a_value_of_another_kind_is_named(call: Any, words: str) -> None:
