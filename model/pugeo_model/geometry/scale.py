@@ -96,7 +96,7 @@ def measure_scale(
         found, thickness = _surfaces(points, own, searched & (noisy | line), least)
         _propagate_scale(points, (noisy | (least > 0.0)) & (found == 0.0), found, thickness)
         # A neighbourhood that is thin by chance must not remain a single noisy point.
-        usual = np.where(noisy, _usual(found, neighbours), found)
+        usual = np.where(noisy, _usual(found, neighbours), found) if noisy.any() else found
         no_surface = searched & (usual == 0.0)
         may_be_curve = no_surface & (line | tube)
         if may_be_curve.any():
@@ -154,9 +154,12 @@ def _is_tube(near: QuadricsAtPoints, regions: list[Regions]) -> NDArray[np.bool_
     """
     tube = np.zeros(len(near.thickness), np.bool_)
     for region in regions:
-        rough = region.quantiles(near.thickness, TUNING.noise_quantile) > TUNING.tube_noise
         slim = region.second <= TUNING.slim_curve * region.first
-        tube |= (rough & slim & (region.third >= 0.5 * region.second))[region.of_point]
+        slim &= region.third >= 0.5 * region.second
+        if slim.any():
+            inside = slim[region.of_point]
+            level = region.quantiles(near.thickness, TUNING.noise_quantile, inside)
+            tube |= inside & (level > TUNING.tube_noise)[region.of_point]
     return tube
 
 
@@ -181,9 +184,14 @@ def _curves(
         searched: ``(M,)`` points where a curve is searched.
         no_surface: ``(M,)`` points that may belong to one; also single ones beside a curve.
     """
-    along, across = search_curves(points, own, searched)
-    along = np.where(no_surface, _usual(along, neighbours), 0.0)
-    across = np.where(no_surface, _usual(across, neighbours), 0.0)
+    rows = np.flatnonzero(no_surface)
+    along, across = np.zeros(len(points)), np.zeros(len(points))
+    # Among these only: a surface beside a wire does not matter, and large clouds have few.
+    along[rows], across[rows] = search_curves(points[rows], own[rows], searched[rows])
+    for values in (along, across):
+        for _ in range(2):
+            around = np.concatenate([values[rows, None], values[neighbours[rows]]], axis=1)
+            values[rows] = np.partition(around, 16, axis=1)[:, 16]
     # Points on the curve represent themselves.
     exact = across <= TUNING.thin_sheet * own
     along[exact] = np.minimum(along, own)[exact]
