@@ -66,6 +66,8 @@ class Phoenix:
                 self._folder / f"server-{self._lives}.log",
                 *("--port", str(self._port), "--workers", str(_WORKERS)),
                 PUGEO_JOBS_DIR=str(self._folder / "jobs"),
+                # The service ends more often here than a job may usually be running at its end.
+                PUGEO_JOBS_ATTEMPTS="1000",
                 PUGEO_SPOOL_DIR=str(self._folder / "spool"),
             )
         )
