@@ -180,19 +180,20 @@ def test_ctrl_c_ends_map(serve: Any, tmp_path: Path) -> None:
             connection.recv(1)
 
     program = (
+        # A shell lets programs in its background ignore the signal.
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import sys; from pugeo_client import Client\n"
         "list(Client(sys.argv[1]).map([b'1', b'2', b'3'], out=sys.argv[2], concurrency=3))"
     )
     with serve(script) as url:
-        process = subprocess.Popen(
-            [sys.executable, "-c", program, url, str(tmp_path / "out")], stderr=subprocess.PIPE
-        )
-        try:
-            assert all(begun.acquire(timeout=60) for _ in range(3))
-            process.send_signal(signal.SIGINT)
-            # Without the interruption it would wait for the timeout of the calls, 600 s.
-            _, stderr = process.communicate(timeout=60)
-        finally:
-            process.kill()
+        command = [sys.executable, "-c", program, url, str(tmp_path / "out")]
+        with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+            try:
+                assert all(begun.acquire(timeout=60) for _ in range(3))
+                process.send_signal(signal.SIGINT)
+                # Without the interruption it would wait for the timeout of the calls, 600 s.
+                _, stderr = process.communicate(timeout=60)
+            finally:
+                process.kill()
     assert b"KeyboardInterrupt" in stderr
     assert list((tmp_path / "out").iterdir()) == []
