@@ -90,7 +90,7 @@ def measure_scale(
     tube = _is_tube(near, regions)
     coarse = noisy | line | tube | (least > 0.0)
     spacing = own.copy()
-    curve = no_surface = np.zeros(len(points), np.bool_)
+    curve = no_scale = np.zeros(len(points), np.bool_)
     if coarse.any():
         searched = coarse & (least == 0.0)
         found, thickness = _surfaces(points, own, searched & (noisy | line), least)
@@ -109,13 +109,14 @@ def measure_scale(
             merged[flat] = TUNING.flat_merge * own[flat]
             found[noisy] = np.maximum(usual, merged)[noisy]
             found = np.where(found > 0.0, np.maximum(found, least), 0.0)
+        no_scale = curve | ((noisy | line) & (found == 0.0))
         if curve.any():
             found[curve], thickness[curve] = along[curve], across[curve]
         coarse = coarse & (found > 1.1 * own)
         spacing[coarse] = found[coarse]
         noise[coarse] = thickness[coarse]
     radius = np.maximum(TUNING.chart_ball * spacing, TUNING.least_chart_ball * own)
-    graded = _graded(points, own, spacing, coarse, no_surface)
+    graded = _graded(points, own, spacing, coarse, no_scale)
     return LocalScale(graded, spacing, radius, coarse, curve, noise)
 
 
@@ -203,18 +204,18 @@ def _graded(
     own: NDArray[np.float64],
     spacing: NDArray[np.float64],
     coarse: NDArray[np.bool_],
-    no_surface: NDArray[np.bool_],
+    no_scale: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """Bound the spacing of charts ``(M,)``, so that it grows slowly away from finer charts.
 
     A chart reaches as far as its neighbours are apart: a few wide ones among fine ones would leave
-    holes between them. Points that belong to no surface do not count.
+    holes between them. Points for which no scale shows a surface do not count.
     """
     graded = spacing.copy()
     bound = TUNING.narrow_charts
     while True:
         wider = coarse & (graded > bound * own)
-        finer = ~wider & ~no_surface
+        finer = ~wider & ~no_scale
         if not wider.any() or not finer.any():
             return graded
         rows, others = np.flatnonzero(wider), np.flatnonzero(finer)
