@@ -19,6 +19,7 @@ from pugeo_model.tuning import TUNING
 __all__ = ["centres_on_curves", "onto_curves"]
 
 _FEWEST = 5  # points needed for a fit
+_MOST = 4096  # points used of a ball
 _FITTED = 10  # charts that the curve of a chart is fitted to
 _WIDER = 1.2  # times the distance of the furthest of these: its weight must not be zero
 _SLIM = TUNING.slim_curve
@@ -42,9 +43,12 @@ def centres_on_curves(
     moved = places.copy()
     radius = TUNING.curve_ball * spacing
     work, out = np.zeros((6, 3)), np.empty(CURVE)
-    for row, near in enumerate(tree.query_ball_point(places, radius, return_sorted=True)):
+    for row, place in enumerate(places):
+        # One by one, since the balls of a dense cloud together hold it many times.
+        near = tree.query_ball_point(place, radius[row], return_sorted=True)
         if len(near) >= _FEWEST:
-            local = (points[near] - places[row]).T / radius[row]
+            near = near[:: -(-len(near) // _MOST)]
+            local = (points[near] - place).T / radius[row]
             fit_curve(np.ascontiguousarray(local), work, out)
             foot = curve_point(out, 0.0, 0.0, 0.0, -1.0, 1.0)
             moved[row] += np.asarray(foot) * radius[row]

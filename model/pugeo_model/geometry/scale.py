@@ -32,6 +32,7 @@ __all__ = ["LocalScale", "least_surface_spacing", "measure_scale"]
 
 _REGION = 2048  # points of a region in which noise is told from detail
 _WIDE_REGION = 8192  # points of a region in which noise is about the same
+_MOSTLY_NOISY = 0.5  # share of noisy points from which the largest regions are looked at
 _LEAST_KNOWN = 0.2  # share of noisy points with a scale, below which it is not propagated
 _DONORS = 16  # points with a scale whose median a point without one gets
 
@@ -88,6 +89,9 @@ def measure_scale(
     noisy = very_noisy | lattice | flat
     line = flatness < TUNING.surface_spread
     tube = _is_tube(near, regions)
+    if very_noisy.mean() > _MOSTLY_NOISY:
+        # The denser the cloud, the larger are regions that are longer than their noise is wide.
+        tube |= _is_tube(near, nested_regions(points, start=len(regions)))
     coarse = noisy | line | tube | (least > 0.0)
     spacing = own.copy()
     curve = no_scale = np.zeros(len(points), np.bool_)

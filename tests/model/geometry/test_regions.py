@@ -49,3 +49,13 @@ def test_quantiles_of_some_points() -> None:
     medians = np.sort(region.medians(values, known))
     assert medians[0] == 20.0
     assert np.isinf(medians[1:]).all()
+
+
+def test_larger_sizes_continue_the_smaller_ones() -> None:
+    """Sizes from a later one on are those that a longer list has there, or none."""
+    points = np.random.default_rng(5).normal(size=(5000, 3))
+    all_sizes = nested_regions(points)
+    some = nested_regions(points, start=2, sizes=1)
+    assert len(some) == 1
+    assert (some[0].of_point == all_sizes[2].of_point).all()
+    assert nested_regions(points, start=9) == []
