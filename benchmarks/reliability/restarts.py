@@ -66,7 +66,7 @@ class Phoenix:
                 self._folder / f"server-{self._lives}.log",
                 *("--port", str(self._port), "--workers", str(_WORKERS)),
                 PUGEO_JOBS_DIR=str(self._folder / "jobs"),
-                # The service ends more often here than a job may usually be running at its end.
+                # Kills come every 17 s: five of them during one job say nothing about that job.
                 PUGEO_JOBS_ATTEMPTS="1000",
                 PUGEO_SPOOL_DIR=str(self._folder / "spool"),
             )

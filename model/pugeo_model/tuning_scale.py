@@ -146,7 +146,7 @@ class ScaleTuning:
     )  # fmt: skip
     curve_ball: float = number(
         2.8, "spacings of the charts", 1.6, 4.0,
-        "the same on a curve, of which few points are inside; the noise was measured in this ball",
+        "radius of the ball that a centre on a curve is fitted to; a smaller one has few points",
     )  # fmt: skip
     least_chart_ball: float = number(
         2.4, "spacings of the points", 1.6, 3.2,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wires, poles and single lines: points stay on the curve, and the report says how many."""
+"""Wires and single lines: points stay on the curve, and the report says how many."""
 
 import numpy as np
 import pytest

@@ -94,10 +94,8 @@ def _of_surfaces(
     """Centres of the points ``rows``, which are a surface, ``(C, 3)``."""
     if not len(rows):
         return points[:0]
-    places, spacing, wanted, radius, noise, count = _cell_means(points, scale, rows)
-    chosen = _spaced_apart(places, spacing, count)
-    moved = _project(points, _lloyd(places[chosen], places), radius[chosen], noise[chosen])
-    return _bounded(points, moved, wanted[chosen])
+    places, _, wanted, radius, noise = _even_places(points, scale, rows)
+    return _bounded(points, _project(points, places, radius, noise), wanted)
 
 
 def _of_curves(
@@ -106,10 +104,22 @@ def _of_curves(
     """Centres of the points ``rows``, which lie around curves, ``(C, 3)``."""
     if not len(rows):
         return points[:0]
-    places, spacing, _, _, _, count = _cell_means(points, scale, rows)
+    places, spacing, *_ = _even_places(points, scale, rows)
+    return centres_on_curves(points[rows], places, spacing)
+
+
+def _even_places(
+    points: NDArray[np.float64], scale: LocalScale, rows: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], ...]:
+    """Evenly spaced places among the points ``rows``, ``(C, 3)``, and the scale at each.
+
+    Returns:
+        The places; of each ``spacing``, ``wanted``, ``radius`` and ``noise``, see `LocalScale`.
+    """
+    places, spacing, wanted, radius, noise, count = _cell_means(points, scale, rows)
     chosen = _spaced_apart(places, spacing, count)
-    middle = _lloyd(places[chosen], places)
-    return centres_on_curves(points[rows], middle, spacing[chosen])
+    scales = (value[chosen] for value in (spacing, wanted, radius, noise))
+    return _lloyd(places[chosen], places), *scales
 
 
 def _cell_means(

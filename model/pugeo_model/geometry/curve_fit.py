@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of a curve of degree two to the points of a ball: a wire, a pole, a single scan line.
+"""Fit of a curve of degree two to the points of a ball: a wire, a single scan line.
 
 The first principal axis is the parameter; along the two other axes a parabola is fitted by least
 squares, with weights that fall to zero at the surface of the ball.
@@ -7,7 +7,7 @@ squares, with weights that fall to zero at the surface of the ball.
 
 import numpy as np
 
-from pugeo_model.geometry.pca import diagonalise
+from pugeo_model.geometry.pca import ball_covariance, diagonalise
 from pugeo_model.kernel_compiler import njit
 
 __all__ = [
@@ -42,38 +42,18 @@ _TINY = 1e-300
 
 
 @njit(cache=True, nogil=True)
-def fit_curve(local, work, out):  # type: ignore[no-untyped-def]  # noqa: PLR0915
+def fit_curve(local, weights, work, out):  # type: ignore[no-untyped-def]
     """Fit a curve.
 
     Args:
         local: ``(3, n)`` float64 offsets of the points from the centre of the ball, in its radii.
+        weights: ``(n,)``, overwritten.
         work: ``(6, 3)``, overwritten.
         out: ``(CURVE,)``, receives the results, in the frame of ``local``.
     """
     n = local.shape[1]
-    total = x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-    for j in range(n):
-        a, b, c = local[0, j], local[1, j], local[2, j]
-        w = max(1.0 - (a * a + b * b + c * c), 0.0)
-        w *= w
-        total += w
-        x += w * a
-        y += w * b
-        z += w * c
-        xx += w * a * a
-        xy += w * a * b
-        xz += w * a * c
-        yy += w * b * b
-        yz += w * b * c
-        zz += w * c * c
-    total = max(total, _TINY)
-    x, y, z = x / total, y / total, z / total
     matrix, vectors = work[:3], work[3:6]
-    matrix[0, 0], matrix[1, 1] = xx / total - x * x, yy / total - y * y
-    matrix[2, 2] = zz / total - z * z
-    matrix[0, 1] = matrix[1, 0] = xy / total - x * y
-    matrix[0, 2] = matrix[2, 0] = xz / total - x * z
-    matrix[1, 2] = matrix[2, 1] = yz / total - y * z
+    total, x, y, z = ball_covariance(local, weights, matrix)
     diagonalise(matrix, vectors)
     first = 0
     for a in range(1, 3):
@@ -89,7 +69,8 @@ def fit_curve(local, work, out):  # type: ignore[no-untyped-def]  # noqa: PLR091
     # s has the mean 0; t = s^2 is made orthogonal to it, so that no system has to be solved.
     third = fourth = spread = 0.0
     for j in range(n):
-        w, s, _, _ = _coordinates(local, j, out)
+        w = weights[j]
+        s, _, _ = _coordinates(local, j, out)
         third += w * s**3
         fourth += w * s**4
         spread += w * w
@@ -98,7 +79,8 @@ def fit_curve(local, work, out):  # type: ignore[no-untyped-def]  # noqa: PLR091
     square = max(square, 0.0) + _RIDGE
     m1 = m2 = s1 = s2 = t1 = t2 = 0.0
     for j in range(n):
-        w, s, p, q = _coordinates(local, j, out)
+        w = weights[j]
+        s, p, q = _coordinates(local, j, out)
         t = s * s - variance - skew * s
         m1 += w * p
         m2 += w * q
@@ -114,7 +96,8 @@ def fit_curve(local, work, out):  # type: ignore[no-untyped-def]  # noqa: PLR091
         out[PARABOLA + 3 * k + 2] = curvature
     squares = fourths = 0.0
     for j in range(n):
-        w, s, p, q = _coordinates(local, j, out)
+        w = weights[j]
+        s, p, q = _coordinates(local, j, out)
         a = p - (out[PARABOLA] + s * (out[PARABOLA + 1] + s * out[PARABOLA + 2]))
         b = q - (out[PARABOLA + 3] + s * (out[PARABOLA + 4] + s * out[PARABOLA + 5]))
         square = a * a + b * b
@@ -150,12 +133,13 @@ def curve_point(curve, x, y, z, low, high):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _coordinates(local, j, out):  # type: ignore[no-untyped-def]
-    """Weight of a point, and its coordinates along the principal axes."""
-    a, b, c = local[0, j], local[1, j], local[2, j]
-    w = max(1.0 - (a * a + b * b + c * c), 0.0)
-    a, b, c = a - out[ORIGIN], b - out[ORIGIN + 1], c - out[ORIGIN + 2]
+    """Coordinates of a point along the three principal axes, from the mean."""
+    a, b, c = (
+        local[0, j] - out[ORIGIN],
+        local[1, j] - out[ORIGIN + 1],
+        local[2, j] - out[ORIGIN + 2],
+    )
     return (
-        w * w,
         a * out[0] + b * out[1] + c * out[2],
         a * out[3] + b * out[4] + c * out[5],
         a * out[6] + b * out[7] + c * out[8],

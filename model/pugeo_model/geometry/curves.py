@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of wires, poles and single scan lines: moved onto the curve."""
+"""Points of wires and single scan lines: moved onto the curve."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ def centres_on_curves(
         if len(near) >= _FEWEST:
             near = near[:: -(-len(near) // _MOST)]
             local = (points[near] - place).T / radius[row]
-            fit_curve(np.ascontiguousarray(local), work, out)
+            fit_curve(np.ascontiguousarray(local), np.empty(len(near)), work, out)
             foot = curve_point(out, 0.0, 0.0, 0.0, -1.0, 1.0)
             moved[row] += np.asarray(foot) * radius[row]
     return moved
@@ -87,7 +87,8 @@ def onto_curves(
 @njit(cache=True, nogil=True)
 def _move(rows, nearest, charts, neighbours, on_curve, spacing, moved):  # type: ignore[no-untyped-def]
     """Move the points ``rows``, which are sorted by chart."""
-    local, work, out = np.empty((3, _FITTED + 1)), np.zeros((6, 3)), np.empty(CURVE)
+    local, weights = np.empty((3, _FITTED + 1)), np.empty(_FITTED + 1)
+    work, out = np.zeros((6, 3)), np.empty(CURVE)
     start = 0
     while start < len(rows):
         chart = nearest[rows[start]]
@@ -107,7 +108,7 @@ def _move(rows, nearest, charts, neighbours, on_curve, spacing, moved):  # type:
                 count += 1
         if count >= _FEWEST and radius > 0.0:
             some = local[:, :count] / radius
-            fit_curve(some, work, out)
+            fit_curve(some, weights, work, out)
             low = high = 0.0
             for j in range(count):
                 s = 0.0

@@ -6,7 +6,9 @@ from numpy.typing import NDArray
 
 from pugeo_model.kernel_compiler import njit
 
-__all__ = ["cross", "diagonalise", "principal_axes"]
+__all__ = ["ball_covariance", "cross", "diagonalise", "principal_axes"]
+
+_TINY = 1e-300
 
 
 @njit(cache=True, nogil=True)
@@ -47,6 +49,47 @@ def principal_axes(
         rows[0, a] = vectors[a, first]
         rows[1, a] = vectors[a, second]
     cross(rows, 0, 1, 2)
+
+
+@njit(cache=True, nogil=True)
+def ball_covariance(local, weights, matrix):  # type: ignore[no-untyped-def]
+    """Compute mean and covariance of the points of a ball, near its centre most.
+
+    Args:
+        local: ``(3, n)`` offsets of the points from the centre, in radii.
+        weights: ``(n,)``, receives ``(1 - d^2)^2`` at the distance d, 0 beyond the ball.
+        matrix: ``(3, 3)``, receives the covariance.
+
+    Returns:
+        The sum of the weights, above 0, and the mean x, y, z.
+    """
+    total = x = y = z = xx = xy = xz = yy = yz = zz = 0.0
+    for j in range(local.shape[1]):
+        a, b, c = local[0, j], local[1, j], local[2, j]
+        w = max(1.0 - (a * a + b * b + c * c), 0.0)
+        w *= w
+        weights[j] = w
+        total += w
+        x += w * a
+        y += w * b
+        z += w * c
+        xx += w * a * a
+        xy += w * a * b
+        xz += w * a * c
+        yy += w * b * b
+        yz += w * b * c
+        zz += w * c * c
+    total = max(total, _TINY)
+    x, y, z = x / total, y / total, z / total
+    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
+        xx / total - x * x,
+        yy / total - y * y,
+        zz / total - z * z,
+    )
+    matrix[0, 1] = matrix[1, 0] = xy / total - x * y
+    matrix[0, 2] = matrix[2, 0] = xz / total - x * z
+    matrix[1, 2] = matrix[2, 1] = yz / total - y * z
+    return total, x, y, z
 
 
 @njit(cache=True, nogil=True)

@@ -220,7 +220,10 @@ def heights_over_neighbours(rows, points, neighbours):  # type: ignore[no-untype
 
 
 def ranked_neighbour(
-    values: NDArray[np.float64], neighbours: NDArray[np.int32], rank: int
+    values: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    rank: int,
+    rows: NDArray[np.intp] | None = None,
 ) -> NDArray[np.float64]:
     """Return the value of a rank (0 is the least) among each point and its neighbours.
 
@@ -228,13 +231,16 @@ def ranked_neighbour(
         values: ``(M,)`` float64.
         neighbours: ``(M, k)`` rows.
         rank: 0..k.
+        rows: ``(n,)`` points whose result is wanted, by default all.
 
     Returns:
-        ``(M,)`` float64.
+        ``(n,)`` float64.
     """
-    out = np.empty(len(values))
-    for start in range(0, len(values), _BLOCK):
-        part = slice(start, start + _BLOCK)
+    rows = np.arange(len(values)) if rows is None else rows
+    out = np.empty(len(rows))
+    for start in range(0, len(rows), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        part = rows[some]
         around = np.concatenate([values[part, None], values[neighbours[part]]], axis=1)
-        out[part] = np.partition(around, rank, axis=1)[:, rank]
+        out[some] = np.partition(around, rank, axis=1)[:, rank]
     return out

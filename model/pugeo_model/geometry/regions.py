@@ -71,25 +71,22 @@ class Regions:
         return quantiles
 
 
-def nested_regions(
-    points: NDArray[np.float64], *, start: int = 0, sizes: int = _SIZES
-) -> list[Regions]:
+def nested_regions(points: NDArray[np.float64], *, start: int = 0) -> list[Regions]:
     """Divide a cloud into compact regions, each size into four of the one before.
 
     Args:
         points: ``(M, 3)``, at least one.
         start: number of the first size, 0 for regions of 48 to 95 points.
-        sizes: largest number of sizes.
 
     Returns:
-        From small to large; fewer where the cloud is smaller than the next region.
+        Up to five sizes, from small to large; fewer if the cloud is smaller than the next region.
     """
     halvings = max(int(np.floor(np.log2(len(points) / _SMALLEST))), 0)
     smallest = np.empty(len(points), dtype=np.int32)
     # With a power of two as their number, four parts in a row are the halves of one half.
     for number, rows in enumerate(divide(points, 2**halvings)):
         smallest[rows] = number
-    stop = min(start + sizes, halvings // 2 + 1)
+    stop = min(start + _SIZES, halvings // 2 + 1)
     return [Regions(points, smallest >> (2 * size)) for size in range(start, stop)]
 
 

@@ -8,7 +8,7 @@ moving least squares, Fleishman, Cohen-Or and Silva 2005).
 
 import numpy as np
 
-from pugeo_model.geometry.pca import cross, diagonalise
+from pugeo_model.geometry.pca import ball_covariance, cross, diagonalise
 from pugeo_model.geometry.quadric import QUADRIC, solve, tilt
 from pugeo_model.kernel_compiler import njit
 
@@ -47,7 +47,7 @@ _TINY = 1e-300
 
 
 @njit(cache=True, nogil=True)
-def fit_robust_quadric(local, rounds, noise, axes, work, weights, heights, ball, out):  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
+def fit_robust_quadric(local, rounds, noise, axes, work, weights, heights, ball, out):  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915
     """Fit a quadric to the points around a place.
 
     Lengths are in radii of the ball. If the noise is known, the fit starts from the sheet of points
@@ -64,33 +64,8 @@ def fit_robust_quadric(local, rounds, noise, axes, work, weights, heights, ball,
         out: ``(FIT,)``, receives the results.
     """
     n = local.shape[1]
-    total = x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-    for j in range(n):
-        a, b, c = local[0, j], local[1, j], local[2, j]
-        w = max(1.0 - (a * a + b * b + c * c), 0.0)
-        w *= w
-        ball[j] = w
-        total += w
-        x += w * a
-        y += w * b
-        z += w * c
-        xx += w * a * a
-        xy += w * a * b
-        xz += w * a * c
-        yy += w * b * b
-        yz += w * b * c
-        zz += w * c * c
-    total = max(total, _TINY)
-    x, y, z = x / total, y / total, z / total
     matrix, vectors = work[:3, :3], work[3:6, :3]
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
-        xx / total - x * x,
-        yy / total - y * y,
-        zz / total - z * z,
-    )
-    matrix[0, 1] = matrix[1, 0] = xy / total - x * y
-    matrix[0, 2] = matrix[2, 0] = xz / total - x * z
-    matrix[1, 2] = matrix[2, 1] = yz / total - y * z
+    total, x, y, z = ball_covariance(local, ball, matrix)
     diagonalise(matrix, vectors)
     first = third = 0
     for a in range(1, 3):

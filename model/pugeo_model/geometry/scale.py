@@ -195,8 +195,7 @@ def _curves(
     along[rows], across[rows] = search_curves(points[rows], own[rows], searched[rows])
     for values in (along, across):
         for _ in range(2):
-            around = np.concatenate([values[rows, None], values[neighbours[rows]]], axis=1)
-            values[rows] = np.partition(around, 16, axis=1)[:, 16]
+            values[rows] = ranked_neighbour(values, neighbours, 16, rows)
     # Points on the curve represent themselves.
     exact = across <= TUNING.thin_sheet * own
     along[exact] = np.minimum(along, own)[exact]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search of the scale at which points are a surface, or a curve."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -73,9 +74,15 @@ def _search(
     points: NDArray[np.float64],
     own: NDArray[np.float64],
     wanted: NDArray[np.bool_],
-    fit: Any,
+    fit: Callable[..., None],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit at sizes that grow from the spacing on, until two in a row are a surface or curve."""
+    """Fit at sizes that grow from the spacing on, until two in a row are a surface or curve.
+
+    Args:
+        points, own, wanted: as in `search_surfaces`.
+        fit: writes spacing and noise of the points of the cells that are a surface or curve; called
+            with rows, keys of their cells, size, grid of the balls, and both arrays.
+    """
     found, thickness = np.zeros(len(points)), np.zeros(len(points))
     # A scale counts if the next one is a surface too: few points are often thin by chance.
     before, before_thickness = np.zeros(len(points)), np.zeros(len(points))
@@ -167,7 +174,7 @@ def _fit_curves(points, rows, keys, size, grid, found, thickness):  # type: igno
         stop, local = _ball_of_cell(start, points, rows, keys, grid, near)
         radius = grid[1]
         if local.shape[1] >= _FEWEST_ON_CURVE:
-            fit_curve(local, work, out)
+            fit_curve(local, np.empty(local.shape[1]), work, out)
             thick = out[RADIUS] * radius
             slim = out[RADIUS] <= _SLIM * out[LENGTH] and thick <= _THIN * size
             # The surface of a pole is not noise around its axis.

@@ -11,7 +11,7 @@ from pugeo_model.geometry.neighbours import nearest, spacing
 
 def _fit(points: np.ndarray) -> np.ndarray:
     out = np.zeros(CURVE)
-    fit_curve(np.ascontiguousarray(points.T), np.zeros((6, 3)), out)
+    fit_curve(np.ascontiguousarray(points.T), np.empty(len(points)), np.zeros((6, 3)), out)
     return out
 
 
