@@ -11,6 +11,7 @@ import base64
 import hashlib
 import hmac
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
@@ -66,7 +67,7 @@ class Webhooks:
     async def run(self) -> None:
         """Send webhooks until this is cancelled; one that gets no answer holds up no other."""
         cleaned = -_ORPHANS_S
-        sending: set[asyncio.Task[None]] = set()
+        sending: dict[asyncio.Task[None], Due] = {}
         # No proxy of the environment: it would look the name up once more, somewhere else.
         async with httpx2.AsyncClient(trust_env=False, timeout=_TIMEOUT_S) as client:
             try:
@@ -77,17 +78,34 @@ class Webhooks:
                             cleaned = time.monotonic()
                         for due in await self._claim(_AT_ONCE - len(sending)):
                             task = asyncio.create_task(self._send(client, due))
-                            sending.add(task)
-                            task.add_done_callback(sending.discard)
+                            sending[task] = due
+                            task.add_done_callback(sending.pop)
                     await asyncio.sleep(_POLL_S)
             finally:
-                for task in sending:
+                left = dict(sending)
+                for task in left:
                     task.cancel()
-                await asyncio.gather(*sending, return_exceptions=True)
+                await asyncio.gather(*left, return_exceptions=True)
+                # Also of tasks that were cancelled before they began.
+                await self._release(due for task, due in left.items() if task.cancelled())
 
     async def _claim(self, room: int) -> list[Due]:
         now = clock.now()
-        return await self._database.write(webhook_rows.claim, now, now + _CLAIM_S, room)
+        write = self._database.write(webhook_rows.claim, now, now + _CLAIM_S, room)
+        claim = asyncio.ensure_future(write)
+        try:
+            return await asyncio.shield(claim)
+        except asyncio.CancelledError:
+            # The database may have stored the claim already.
+            with suppress(ProblemError):
+                await self._release(await claim)
+            raise
+
+    async def _release(self, claimed: Iterable[Due]) -> None:
+        """Make webhooks due at once: this process ends, and the next one need not wait."""
+        for due in claimed:
+            with suppress(ProblemError):  # logged by the database; due again after the claim
+                await self._database.write(webhook_rows.postpone, due.job_id, due.attempts, 0.0)
 
     async def _send(self, client: httpx2.AsyncClient, due: Due) -> None:
         try:
@@ -95,10 +113,6 @@ class Webhooks:
                 found = await self._database.read(repository.find_many, [due.job_id])
                 reason = await self._attempt(client, due, found[0]) if found else None
                 await self._record(due, reason)
-        except asyncio.CancelledError:
-            # This process ends; the next one need not wait.
-            await self._database.write(webhook_rows.postpone, due.job_id, due.attempts, 0.0)
-            raise
         except Exception:  # noqa: BLE001 - an unexpected error concerns one webhook
             _log.exception("webhook cannot be sent", job=due.job_id)
 
